@@ -1,0 +1,1 @@
+"""What a user may write: experiments, studies, and the messages about them."""

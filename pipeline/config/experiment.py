@@ -1,0 +1,695 @@
+"""An experiment: a granular model in a box, at rest or drawn, and what was measured in it.
+
+The models are the contract of ``workflow_configs/experiments/*.yaml``. Lengths m, densities
+kg m-3, angles degrees, masses kg, stresses kPa; x and y run from a corner of the base, z is height
+above it.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from pkgutil import iter_modules
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    model_validator,
+)
+
+from pipeline.config.messages import (
+    NAME_PATTERN,
+    Found,
+    Inconsistent,
+    did_you_mean,
+    quantity,
+    run_checks,
+    whole,
+)
+
+MAX_CELLS = 2e9
+"""Lattices beyond this number of cells are taken for a mistake of unit."""
+
+_MM, _PERCENT, _G_CM3 = (0.001,), (0.01,), (1000.0, 0.001)
+
+Length = quantity("a length in m, above 0 and at most 10000", slips=_MM, gt=0, le=1e4)
+Height = quantity("a height in m, from 0 to 10000", slips=_MM, ge=0, le=1e4)
+Position = quantity("a position in m, from 0 to 10000", slips=_MM, ge=0, le=1e4)
+Mass = quantity("a mass in kg, above 0", gt=0)
+MassDrawn = quantity("a mass in kg, 0 or more", ge=0)
+Density = quantity("a density in kg m-3, from 100 to 10000", slips=_G_CM3, ge=100, le=1e4)
+FrictionAngle = quantity("an angle in degrees, from 0 to below 90", ge=0, lt=90)
+Transmission = quantity("a fraction in (0, 1]", slips=_PERCENT, gt=0, le=1)
+Fraction = quantity("a fraction in [0, 1]", slips=_PERCENT, ge=0, le=1)
+Stress_kPa = quantity("a stress in kPa, 0 or more", ge=0)
+Number = quantity("a number")
+Text = Annotated[str, Field(min_length=1)]
+FileStem = Annotated[str, Field(pattern=NAME_PATTERN)]
+DataLabel = Literal["measured", "simulated (DEM)", "published simulation", "synthetic"]
+Parameter = Literal["E", "s", "s.mean", "s.std", "E_min", "R", "exponent", "bulking"]
+
+DRAW_PARAMETERS = ("E_min", "R", "exponent", "bulking")
+"""Parameters that act only while material is drawn."""
+
+
+def known_effects() -> tuple[str, ...]:
+    """Names of the effects that exist: the public modules of the package ``pipeline.effects``."""
+    package = find_spec("pipeline.effects")
+    if package is None:
+        return ()
+    modules = iter_modules(package.submodule_search_locations)
+    return tuple(sorted(module.name for module in modules if not module.name.startswith("_")))
+
+
+def unknown_effect(name: str) -> str | None:
+    """What to say of an effect's name; None when the effect exists."""
+    known = known_effects()
+    if name in known:
+        return None
+    if not known:
+        return "unknown effect; no effects exist in this version, leave it out"
+    return "unknown effect" + did_you_mean(name, known, "known effects:")
+
+
+class Strict(BaseModel):
+    """A frozen model without unknown keys; ``checks`` are its conditions across keys."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+    checks: ClassVar[tuple[Callable[..., Iterator[Found]], ...]] = ()
+
+    @model_validator(mode="after")
+    def _is_consistent(self):
+        values = {name: getattr(self, name) for name in type(self).model_fields}
+        if found := tuple(run_checks(self.checks, values)):
+            raise Inconsistent(found)
+        return self
+
+
+# ---------------------------------------------------------------------------------------------
+# geometry
+
+
+class CylinderMask(Strict):
+    """An upright cylinder in the middle of the box; outside it there is no ground."""
+
+    type: Literal["cylinder"]
+    """Kind of mask."""
+    diameter: Length | None = None
+    """Diameter, m; without it the smaller of width and length."""
+
+
+class DrawbellMask(Strict):
+    """Solid ground between the drawpoints that rises from their edges to the height."""
+
+    type: Literal["drawbells"]
+    """Kind of mask."""
+    height: Length
+    """Height of the drawbells above the base, m."""
+    wall_angle: quantity("an angle in degrees, above 0 and at most 90", gt=0, le=90)
+    """Inclination of the drawbell walls from the horizontal, degrees."""
+
+
+class FileMask(Strict):
+    """Ground read from a netCDF file on (z, y, x): 1 where there is granular material."""
+
+    type: Literal["file"]
+    """Kind of mask."""
+    path: Annotated[str, Field(pattern=r"\.nc$")]
+    """NetCDF file (.nc), relative to the experiment's file."""
+    variable: Text = "ground"
+    """Name of the variable in the file."""
+
+
+Mask = Annotated[CylinderMask | DrawbellMask | FileMask, Field(discriminator="type")]
+
+
+def _lattice_fits(width, length, height, cell_size) -> Iterator[Found]:
+    sides = {"width": width, "length": length, "height": height}
+    least = min(sides, key=sides.get)
+    if cell_size > sides[least]:
+        hint = f"; did you mean {cell_size / 1000:.6g}?" if cell_size / 1000 <= sides[least] else ""
+        text = f"expected a cell size in m, at most the {least} ({sides[least]:g} m){hint}"
+        yield ("cell_size",), text
+    cells = width * length * height / cell_size**3
+    if cells > MAX_CELLS:
+        yield ("cell_size",), (
+            f"makes a lattice of {cells:.2g} cells, expected at most {MAX_CELLS:.0g}; "
+            "give all lengths in m, or choose larger cells"
+        )
+
+
+def _mask_fits(width, length, height, mask) -> Iterator[Found]:
+    if isinstance(mask, CylinderMask) and (mask.diameter or 0) > min(width, length) * (1 + 1e-9):
+        yield ("mask", "diameter"), (
+            f"expected at most the smaller of width and length ({min(width, length):g} m)"
+        )
+    if isinstance(mask, DrawbellMask) and mask.height > height * (1 + 1e-9):
+        yield ("mask", "height"), f"expected at most geometry.height ({height:g} m)"
+
+
+class Geometry(Strict):
+    """The box that holds the granular material, and the lattice in it."""
+
+    width: Length
+    """Extent along x, m."""
+    length: Length
+    """Extent along y, m."""
+    height: Length
+    """Extent along z when full, m."""
+    cell_size: Length
+    """Side of the cubic lattice cells, m."""
+    mask: Mask | None = None
+    """Where there is ground inside the box; without it everywhere."""
+
+    checks = (_lattice_fits, _mask_fits)
+
+    @property
+    def diameter(self) -> float | None:
+        """Diameter (m) of the cylinder mask, its default filled in; None for any other ground."""
+        if isinstance(self.mask, CylinderMask):
+            return self.mask.diameter or min(self.width, self.length)
+        return None
+
+
+# ---------------------------------------------------------------------------------------------
+# material, walls, filling
+
+
+def _density_order(bulk_density, particle_density) -> Iterator[Found]:
+    if bulk_density > particle_density:
+        yield ("bulk_density",), (
+            f"expected at most particle_density ({particle_density:g} kg m-3); are they exchanged?"
+        )
+
+
+def _size_order(particle_size) -> Iterator[Found]:
+    if particle_size and particle_size[0] > particle_size[1]:
+        yield ("particle_size",), "expected the smallest size first, then the largest"
+
+
+def _two_sizes(value: Any) -> Any:
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise ValueError("expected two lengths in m, smallest and largest: [2.36e-3, 4.7e-3]")
+    return value
+
+
+class Material(Strict):
+    """The granular material."""
+
+    name: Text
+    """Name; experiments with the same one share its parameters in a study."""
+    bulk_density: Density
+    """Bulk density of the bed, kg m-3."""
+    particle_density: Density
+    """Density of the particles, kg m-3."""
+    particle_size: Annotated[tuple[Length, Length], BeforeValidator(_two_sizes)] | None = None
+    """Smallest and largest particle size, m."""
+    internal_friction_angle: FrictionAngle | None = None
+    """Internal friction angle, degrees."""
+
+    checks = (_density_order, _size_order)
+
+
+class Walls(Strict):
+    """The walls of the box."""
+
+    friction_angle: FrictionAngle
+    """Friction angle between material and walls, degrees."""
+
+
+def _increasing(key: str, values) -> Iterator[Found]:
+    for place in range(1, len(values)):
+        if values[place] <= values[place - 1]:
+            yield (key, place), f"expected more than the one before it ({values[place - 1]:g})"
+
+
+class Filling(Strict):
+    """The filling of a static experiment."""
+
+    levels: Annotated[tuple[Length, ...], Field(min_length=1)]
+    """Fill heights at which the load cells are read too, increasing, m."""
+
+    checks = (lambda levels: _increasing("levels", levels),)
+
+
+# ---------------------------------------------------------------------------------------------
+# stress and flow
+
+
+class Scatter(Strict):
+    """A normal distribution."""
+
+    mean: quantity("a number from -1000 to 1000", ge=-1000, le=1000)
+    """Mean, dimensionless."""
+    std: quantity("a number from 0 to 1000", ge=0, le=1000) = 0.0
+    """Standard deviation from cell to cell, dimensionless."""
+
+
+def _scatter(value: Any) -> Any:
+    return value if isinstance(value, dict | Scatter) else {"mean": value}
+
+
+def _table_fits(height, value) -> Iterator[Found]:
+    yield from _increasing("height", height)
+    if len(height) != len(value):
+        yield ("value",), (
+            f"expected as many values as heights ({len(height)}), these are {len(value)}"
+        )
+
+
+class EMinTable(Strict):
+    """E_min by linear interpolation over height, constant beyond the ends."""
+
+    type: Literal["table"]
+    """Form of E_min."""
+    height: Annotated[tuple[Height, ...], Field(min_length=1)]
+    """Heights above the base, increasing, m."""
+    value: Annotated[tuple[Fraction, ...], Field(min_length=1)]
+    """E_min at these heights, fraction of load passed on."""
+
+    checks = (_table_fits,)
+
+
+class EMinPower(Strict):
+    """1 - E_min(h) = (1 - value) (h / at_height)^(-exponent), kept within [0, E]."""
+
+    type: Literal["power"]
+    """Form of E_min."""
+    at_height: Length
+    """Height above the base at which E_min is ``value``, m."""
+    value: Fraction
+    """E_min at that height, fraction of load passed on."""
+    exponent: quantity("a number from 0 to 10", ge=0, le=10) = 0.5
+    """How fast 1 - E_min falls with height; 0: not at all."""
+
+
+EMin = Annotated[EMinTable | EMinPower, Field(discriminator="type")]
+
+
+def _one_source_of_E(E, attenuation_length, from_) -> Iterator[Found]:
+    given = [key for key, value in
+             (("E", E), ("attenuation_length", attenuation_length), ("from", from_))
+             if value is not None]
+    if len(given) != 1:
+        yield (), (
+            "expected exactly one of E, attenuation_length, from; "
+            + (f"these are {' and '.join(given)}" if given else "none is given")
+        )
+
+
+def _s_is_given(s, from_) -> Iterator[Found]:
+    if s is None and from_ is None:
+        yield ("s",), "missing; expected a number or {mean, std}"
+
+
+def _E_min_below_E(E, E_min) -> Iterator[Found]:
+    if E is None or E_min is None:
+        return
+    table = isinstance(E_min, EMinTable)
+    for place, value in enumerate(E_min.value if table else (E_min.value,)):
+        if value > E:
+            yield ("E_min", "value", *([place] if table else [])), (
+                f"expected at most E ({E:g}): flowing ground passes on no more than ground at rest"
+            )
+
+
+class Stress(Strict):
+    """How cells hand their load down; starting values where something is calibrated."""
+
+    E: Transmission | None = None
+    """Fraction of its load that a cell at rest passes on, for this cell size, in (0, 1]."""
+    attenuation_length: Length | None = None
+    """In place of E: the length c / (1 - E) over which load is shed, m."""
+    from_: FileStem | None = Field(None, alias="from")
+    """In place of E: the experiment whose calibrated parameters are taken."""
+    s: Annotated[
+        Scatter, BeforeValidator(_scatter, json_schema_input_type=float | Scatter)
+    ] | None = None
+    """Exponent of distance in the weights (1/d)^s: a number, or mean and std over the cells."""
+    R: Fraction | None = None
+    """Relaxation: factor in [0, 1] on weights onto movement-zone cells beside stagnant ones."""
+    E_min: EMin | None = None
+    """Fraction of its load that a cell in the movement zone passes on, by height."""
+    rule: Literal["inverse_distance", "multinomial"] = "inverse_distance"
+    """How weights follow from distances: eq. 4 alone, or eq. 3 of Gómez & Castro (2022)."""
+
+    checks = (_one_source_of_E, _s_is_given, _E_min_below_E)
+
+
+class Flow(Strict):
+    """How voids climb from the drawpoints."""
+
+    exponent: quantity("a number from 0 to 1000", ge=0, le=1000)
+    """Exponent n of distance in the probabilities (1/d)^n of a void's climb, dimensionless."""
+    bulking: Fraction
+    """Probability in [0, 1] that a void stays where it loosens stagnant ground."""
+
+
+# ---------------------------------------------------------------------------------------------
+# the base and the draw
+
+
+class BaseArea(Strict):
+    """A rectangle of the base."""
+
+    name: Annotated[str, Field(pattern=NAME_PATTERN)]
+    """Name, unique among its kind."""
+    x: Position
+    """Center along x, m."""
+    y: Position
+    """Center along y, m."""
+    width: Length
+    """Extent along x, m."""
+    length: Length
+    """Extent along y, m."""
+
+
+class Drawpoint(BaseArea):
+    """An opening in the base."""
+
+
+class LoadCell(BaseArea):
+    """An area of the base over which vertical stress is averaged."""
+
+
+def _increment_fits(mass, increment) -> Iterator[Found]:
+    if increment > mass:
+        yield ("increment",), f"expected at most the line's mass ({mass:g} kg)"
+
+
+def _no_repeats(drawpoints) -> Iterator[Found]:
+    for place, name in enumerate(drawpoints):
+        if name in drawpoints[:place]:
+            yield ("drawpoints", place), "named twice in this line"
+
+
+class DrawLine(Strict):
+    """Drawpoints drawn in turn, one increment at a time, up to the line's mass."""
+
+    drawpoints: Annotated[tuple[Text, ...], Field(min_length=1)]
+    """Names of the drawpoints."""
+    mass: Mass
+    """Mass drawn from them together, kg."""
+    increment: Mass
+    """Mass drawn at a time, kg."""
+
+    checks = (_increment_fits, _no_repeats)
+
+
+def _one_way_of_reading(every, at_mass_drawn) -> Iterator[Found]:
+    if (every is None) == (at_mass_drawn is None):
+        yield (), "expected exactly one of every, at_mass_drawn"
+
+
+class Readings(Strict):
+    """When the load cells are read during draw; one reading before draw is always taken."""
+
+    every: Mass | None = None
+    """Mass drawn between two readings, kg."""
+    at_mass_drawn: Annotated[tuple[MassDrawn, ...], Field(min_length=1)] | None = None
+    """In place of ``every``: masses drawn at which to read, increasing, kg."""
+
+    checks = (
+        _one_way_of_reading,
+        lambda at_mass_drawn: _increasing("at_mass_drawn", at_mass_drawn or ()),
+    )
+
+
+class Published(Strict):
+    """Numbers published beside this experiment, shown next to ours and used for nothing."""
+
+    vertical_stress_mean: Stress_kPa | None = None
+    """Simulated mean vertical stress on the base, kPa."""
+    vertical_stress_std: Stress_kPa | None = None
+    """Simulated standard deviation of the vertical stress, kPa."""
+    measured_mean: Stress_kPa | None = None
+    """Measured mean vertical stress as published, kPa."""
+    measured_std: Stress_kPa | None = None
+    """Measured standard deviation as published, kPa."""
+    mean_absolute_error: Stress_kPa | None = None
+    """Published mean of |experiment - simulation|, kPa."""
+    test: whole("a whole number, 1 or more", ge=1, le=10**6) | None = None
+    """Number of the test in the source."""
+    note: str = ""
+    """What a reader should know of these numbers."""
+    source: str = ""
+    """Where they were published."""
+
+
+# ---------------------------------------------------------------------------------------------
+# checks across the experiment
+
+
+def _particles_fit(geometry, material) -> Iterator[Found]:
+    least = min(geometry.width, geometry.length, geometry.height)
+    for place, size in enumerate(material.particle_size or ()):
+        if size > least / 2:
+            hint = f"; did you mean {size / 1000:.6g}?" if size / 1000 <= least / 2 else ""
+            yield ("material", "particle_size", place), (
+                f"expected a length in m, at most half the smallest side ({least / 2:g} m){hint}"
+            )
+
+
+def _levels_fit(geometry, filling) -> Iterator[Found]:
+    for place, level in enumerate(filling.levels if filling else ()):
+        if level > geometry.height * (1 + 1e-9):
+            yield ("filling", "levels", place), (
+                f"expected at most geometry.height ({geometry.height:g} m)"
+            )
+
+
+def _attenuation_fits(geometry, stress) -> Iterator[Found]:
+    length = stress.attenuation_length
+    if length is not None and length <= geometry.cell_size:
+        yield ("stress", "attenuation_length"), (
+            f"expected more than geometry.cell_size ({geometry.cell_size:g} m), as E = 1 - "
+            "cell_size / attenuation_length is above 0"
+        )
+
+
+def _areas_fit(key: str, areas, geometry) -> Iterator[Found]:
+    repeated = Counter(area.name for area in areas)
+    for place, area in enumerate(areas):
+        if repeated[area.name] > 1:
+            yield (key, place, "name"), f"this name is given to {repeated[area.name]} of {key}"
+        for center, side in (("x", "width"), ("y", "length")):
+            middle, extent = getattr(area, center), getattr(area, side)
+            limit = getattr(geometry, side)
+            low, high = middle - extent / 2, middle + extent / 2
+            if low < -1e-9 * limit or high > limit * (1 + 1e-9):
+                yield (key, place, center), (
+                    f"{area.name} covers {low:g} to {high:g} m, "
+                    f"outside the base (0 to {limit:g} m along {center})"
+                )
+
+
+def _drawpoints_fit(geometry, drawpoints) -> Iterator[Found]:
+    yield from _areas_fit("drawpoints", drawpoints, geometry)
+
+
+def _load_cells_fit(geometry, load_cells) -> Iterator[Found]:
+    yield from _areas_fit("load_cells", load_cells, geometry)
+
+
+def _lines_name_drawpoints(draw, drawpoints) -> Iterator[Found]:
+    known = [drawpoint.name for drawpoint in drawpoints]
+    for line, place, name in (
+        (line, place, name)
+        for line, entry in enumerate(draw) for place, name in enumerate(entry.drawpoints)
+    ):
+        if name not in known:
+            hint = did_you_mean(name, known, "known drawpoints:") or "; drawpoints is empty"
+            yield ("draw", line, "drawpoints", place), f"unknown drawpoint{hint}"
+
+
+def _bed_holds_the_draw(geometry, material, draw) -> Iterator[Found]:
+    bed = material.bulk_density * geometry.width * geometry.length * geometry.height
+    drawn = math.fsum(line.mass for line in draw)
+    if drawn > bed:
+        yield ("draw",), f"the lines draw {drawn:g} kg together, the model holds {bed:.6g} kg"
+
+
+def _draw_is_complete(draw, stress, flow, readings) -> Iterator[Found]:
+    if not draw:
+        if readings is not None:
+            yield ("readings",), "needs draw lines; leave it out of a static experiment"
+        return
+    if readings is None:
+        yield ("readings",), "missing; a draw experiment needs every or at_mass_drawn"
+    if stress.from_ is None:
+        if flow is None:
+            yield ("flow",), "missing; a draw experiment needs exponent and bulking"
+        if stress.R is None:
+            yield ("stress", "R"), "missing; a draw experiment needs a fraction in [0, 1]"
+        if stress.E_min is None:
+            yield ("stress", "E_min"), "missing; a draw experiment needs a table or power form"
+
+
+def _drawbells_have_drawpoints(geometry, drawpoints) -> Iterator[Found]:
+    if isinstance(geometry.mask, DrawbellMask) and not drawpoints:
+        yield ("geometry", "mask"), "drawbells need drawpoints; none is given"
+
+
+def _draw_starts_full(draw, filling) -> Iterator[Found]:
+    if draw and filling:
+        yield ("filling",), (
+            "a draw experiment is read with the model full; "
+            "put fill levels into a static experiment of their own"
+        )
+
+
+def _readings_end_with_the_draw(draw, readings) -> Iterator[Found]:
+    total = math.fsum(line.mass for line in draw)
+    if not draw or readings is None:
+        return
+    limit = total * (1 + 1e-9)
+    if readings.every is not None and readings.every > limit:
+        yield ("readings", "every"), f"expected at most the mass of all draw lines ({total:g} kg)"
+    for place, mass in enumerate(readings.at_mass_drawn or ()):
+        if mass > limit:
+            yield ("readings", "at_mass_drawn", place), (
+                f"expected at most the mass of all draw lines ({total:g} kg)"
+            )
+
+
+def _calibrate_is_possible(calibrate, draw) -> Iterator[Found]:
+    for place, name in enumerate(calibrate):
+        if name in calibrate[:place]:
+            yield ("calibrate", place), "named twice"
+        if name == "s" and {"s.mean", "s.std"} & set(calibrate):
+            yield ("calibrate", place), "s is s.mean and s.std; name either s or its parts"
+        if name in DRAW_PARAMETERS and not draw:
+            yield ("calibrate", place), "acts only during draw, and this experiment has no draw"
+
+
+def _effects_exist(effects) -> Iterator[Found]:
+    for name in effects:
+        if text := unknown_effect(name):
+            yield ("effects", name), text
+
+
+def _assumed_keys_exist(assumed) -> Iterator[Found]:
+    keys = [field.alias or name for name, field in Experiment.model_fields.items()]
+    for place, entry in enumerate(assumed):
+        first, *rest = entry.split(".")
+        if first not in keys:
+            yield ("assumed", place), "unknown key" + did_you_mean(first, keys, "known keys:")
+        elif not all(rest):
+            yield ("assumed", place), "expected keys joined by single dots, such as stress.E"
+
+
+class Experiment(Strict):
+    """One experiment; its name is the stem of its file."""
+
+    title: str = ""
+    """What the experiment is, in a line."""
+    source: str = ""
+    """Where its values come from."""
+    geometry: Geometry
+    """Box and lattice: width, length, height, cell_size in m."""
+    material: Material
+    """The granular material."""
+    walls: Walls | None = None
+    """The walls of the box."""
+    filling: Filling | None = None
+    """Fill heights of a static experiment."""
+    stress: Stress
+    """How cells hand their load down."""
+    flow: Flow | None = None
+    """How voids climb; needed for draw."""
+    drawpoints: tuple[Drawpoint, ...] = ()
+    """Openings in the base."""
+    draw: tuple[DrawLine, ...] = ()
+    """What is drawn, in order; empty: a static experiment."""
+    readings: Readings | None = None
+    """When to read during draw."""
+    load_cells: tuple[LoadCell, ...] = ()
+    """Base areas over which vertical stress is averaged."""
+    calibrate: tuple[Parameter, ...] = ()
+    """Parameters that the experiment's own calibration fits to its measured rows."""
+    effects: dict[str, dict[str, Number]] = Field(default_factory=dict)
+    """Declared effects: name to parameters."""
+    replicates: whole("a whole number from 1 to 1000000", ge=1, le=10**6) = 10
+    """Number of replicates."""
+    seed: whole("a whole number from 0 to 2^63 - 1", ge=0, le=2**63 - 1) = 0
+    """Root of all random numbers of this experiment."""
+    measured: Annotated[str, Field(pattern=r"(?i)\.(csv|nc)$")] | None = None
+    """Table of measured values (.csv or .nc), relative to this file."""
+    data_label: DataLabel = "measured"
+    """What the values in ``measured`` are; shown wherever they are."""
+    assumed: tuple[Text, ...] = ()
+    """Dotted keys whose values are our assumption, not the source's."""
+    published: Published | None = None
+    """Numbers published beside this experiment."""
+    keep_fields: bool = Field(False, strict=True)
+    """Whether to write the fields of every replicate (true or false)."""
+
+    _path: Path = PrivateAttr(Path("unnamed.yaml"))
+
+    checks = (
+        _particles_fit,
+        _levels_fit,
+        _attenuation_fits,
+        _drawpoints_fit,
+        _load_cells_fit,
+        _lines_name_drawpoints,
+        _bed_holds_the_draw,
+        _draw_is_complete,
+        _drawbells_have_drawpoints,
+        _draw_starts_full,
+        _readings_end_with_the_draw,
+        _calibrate_is_possible,
+        _effects_exist,
+        _assumed_keys_exist,
+    )
+
+    def at(self, path: Path) -> "Experiment":
+        """The same experiment as the one that the file ``path`` holds."""
+        placed = self.model_copy()
+        placed._path = Path(path)
+        return placed
+
+    @property
+    def path(self) -> Path:
+        """The experiment's file."""
+        return self._path
+
+    @property
+    def name(self) -> str:
+        """Stem of the experiment's file."""
+        return self._path.stem
+
+    @property
+    def is_draw(self) -> bool:
+        """Whether material is drawn."""
+        return bool(self.draw)
+
+    @property
+    def mass_scheduled(self) -> float:
+        """Mass that all draw lines draw together, kg; 0 in a static experiment."""
+        return math.fsum(line.mass for line in self.draw)
+
+    @property
+    def E(self) -> float | None:
+        """E as given or as 1 - cell_size / attenuation_length; None when taken ``from`` another."""
+        if self.stress.attenuation_length is not None:
+            return 1 - self.geometry.cell_size / self.stress.attenuation_length
+        return self.stress.E
+
+    @property
+    def measured_path(self) -> Path | None:
+        """The measured table, found from the experiment's file; None without one."""
+        return None if self.measured is None else self._path.parent / self.measured
+
+    @property
+    def mask_path(self) -> Path | None:
+        """The mask's file, found from the experiment's file; None without one."""
+        mask = self.geometry.mask
+        return self._path.parent / mask.path if isinstance(mask, FileMask) else None

@@ -1,0 +1,317 @@
+"""From YAML files to checked experiments and studies; all problems at once."""
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from pipeline.config.experiment import Experiment
+from pipeline.config.messages import NAME_PATTERN, ConfigError, did_you_mean, problems, shown_path
+from pipeline.config.study import HeldOutLoadCells, Study
+from pipeline.files.measured import MeasuredError, MeasuredRow, read_measured
+
+
+class _Loader(yaml.SafeLoader):
+    """SafeLoader with the scalars of YAML 1.2 (1e-3 is a number, yes is text), no key twice."""
+
+    yaml_implicit_resolvers: dict = {}
+
+    def construct_mapping(self, node, deep=False):
+        seen: dict[str, int] = {}
+        for key, _ in getattr(node, "value", ()):
+            line = key.start_mark.line + 1
+            if key.value in seen and key.tag != "tag:yaml.org,2002:merge":
+                raise yaml.constructor.ConstructorError(
+                    problem=f"key {key.value} is given twice, first in line {seen[key.value]}",
+                    problem_mark=key.start_mark,
+                )
+            if isinstance(key, yaml.ScalarNode):
+                seen[key.value] = line
+        return super().construct_mapping(node, deep=deep)
+
+
+_DECIMAL = r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+for _tag, _pattern, _first in (
+    ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    ("int", r"[-+]?(?:0|[1-9][0-9]*)", "-+0123456789"),
+    ("float", rf"{_DECIMAL}|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)", "-+.0123456789"),
+    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    ("merge", r"<<", "<"),
+):
+    _Loader.add_implicit_resolver(
+        f"tag:yaml.org,2002:{_tag}", re.compile(rf"^(?:{_pattern})$"), list(_first)
+    )
+
+
+def _read_mapping(path: Path) -> dict:
+    """The mapping that a YAML file holds; ConfigError when it holds none."""
+
+    def stop(text: str):
+        raise ConfigError([(path, text)]) from None
+
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        others = [other.name for other in _yaml_files(path.parent)] if path.parent.is_dir() else []
+        stop("no such file" + did_you_mean(path.name, others, "beside it are"))
+    except UnicodeDecodeError as error:
+        line = path.read_bytes()[: error.start].count(b"\n") + 1
+        stop(f"line {line}: not UTF-8 text; save the file with UTF-8 encoding")
+    except OSError as error:
+        stop(f"cannot be read: {error.strerror}")
+    try:
+        content = yaml.load(text, _Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        what = error.problem or error.context
+        remedy = "; indent with spaces, not tabs" if r"'\t'" in what else ""
+        stop(f"{where}not readable as YAML: {what}{remedy}")
+    except yaml.reader.ReaderError as error:
+        line = text[: error.position].count("\n") + 1
+        stop(f"line {line}: not readable as YAML: a control character; remove it")
+    except (RecursionError, ValueError, OverflowError):
+        stop("not readable as YAML: nested too deeply or a number out of range")
+    if content is None:
+        stop("the file is empty; expected keys and values")
+    if not isinstance(content, dict):
+        stop(f"expected keys and values (key: value), found a {_kind(content)}")
+    return content
+
+
+def _kind(content: Any) -> str:
+    return "list" if isinstance(content, list) else "single value"
+
+
+def _yaml_files(folder: Path) -> list[Path]:
+    return sorted(
+        path for path in folder.iterdir()
+        if path.suffix.lower() in (".yaml", ".yml") and path.is_file()
+    )
+
+
+def _load(model: type[BaseModel], path: Path) -> Any:
+    path = Path(path)
+    raw = _read_mapping(path)
+    found = []
+    if not re.fullmatch(NAME_PATTERN.strip("^$"), path.stem):
+        found.append("the file's name is the name used in results: use letters, digits, _ and -")
+    try:
+        loaded = model.model_validate(raw).at(path)
+    except ValidationError as error:
+        found += problems(model, error, raw)
+    if found:
+        raise ConfigError((path, text) for text in found)
+    return loaded
+
+
+def load_experiment(path: Path) -> Experiment:
+    """The experiment in the YAML file ``path``, checked together with the files it names.
+
+    Raises ConfigError with every problem of the file, and of its measured table.
+    """
+    experiment = _load(Experiment, path)
+    found = []
+    if experiment.mask_path is not None and not experiment.mask_path.is_file():
+        where = f"geometry.mask.path = {experiment.geometry.mask.path}"
+        found.append((experiment.path, _no_such_file(where, experiment.mask_path)))
+    try:
+        check_measured(experiment)
+    except ConfigError as error:
+        found += error.problems
+    if found:
+        raise ConfigError(found)
+    return experiment
+
+
+def load_study(path: Path) -> Study:
+    """The study in the YAML file ``path``; ConfigError with every problem of the file."""
+    study = _load(Study, path)
+    if study.data_path is not None and not study.data_path.is_file():
+        where = f"data.file = {study.data.file}"
+        raise ConfigError([(study.path, _no_such_file(where, study.data_path))])
+    return study
+
+
+def load_experiments(folder: Path) -> dict[str, Experiment]:
+    """All experiments (*.yaml, *.yml) of a folder by name, sorted.
+
+    Raises ConfigError with the problems of all files, and where ``stress.from`` leads nowhere.
+    """
+    paths = _files_of(folder, "experiments")
+    experiments, found = _load_each(paths, load_experiment)
+    found += _broken_references(experiments, {path.stem for path in paths})
+    if found:
+        raise ConfigError(found)
+    return experiments
+
+
+def load_studies(
+    folder: Path, experiments: Mapping[str, Experiment] | None = None
+) -> dict[str, Study]:
+    """All studies (*.yaml, *.yml) of a folder by name, sorted.
+
+    Given the ``experiments``, what the studies say of them is checked too. Raises ConfigError with
+    the problems of all files.
+    """
+    studies, found = _load_each(_files_of(folder, "studies"), load_study)
+    for study in studies.values() if experiments is not None else ():
+        found += _study_problems(study, experiments)
+    if found:
+        raise ConfigError(found)
+    return studies
+
+
+def check_measured(experiment: Experiment) -> tuple[MeasuredRow, ...]:
+    """The experiment's measured rows, () when it names no table; ConfigError with all problems."""
+    if experiment.measured is None:
+        return ()
+    if not experiment.measured_path.is_file():
+        where = f"measured = {experiment.measured}"
+        raise ConfigError([(experiment.path, _no_such_file(where, experiment.measured_path))])
+    return _read_rows(experiment.measured_path, experiment)
+
+
+def resolved(settings: BaseModel) -> dict:
+    """An experiment or study as JSON-able data under the keys of its file, defaults filled in."""
+    return settings.model_dump(mode="json", by_alias=True)
+
+
+def digest(settings: BaseModel) -> str:
+    """SHA-256 (hex) of ``resolved``: the same for files that say the same."""
+    text = json.dumps(resolved(settings), sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+# ---------------------------------------------------------------------------------------------
+# across files
+
+
+def _no_such_file(where: str, path: Path) -> str:
+    return f"{where}: no such file ({shown_path(path)}); the path is relative to this file"
+
+
+def _read_rows(path: Path, experiment: Experiment) -> tuple[MeasuredRow, ...]:
+    try:
+        return read_measured(path, experiment)
+    except MeasuredError as error:
+        raise ConfigError((error.path, text) for text in error.problems) from None
+
+
+def _files_of(folder: Path, kind: str) -> list[Path]:
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ConfigError([(folder, f"no such folder; expected a folder of {kind} (*.yaml)")])
+    if not (paths := _yaml_files(folder)):
+        raise ConfigError([(folder, f"holds no {kind} (*.yaml or *.yml)")])
+    return paths
+
+
+def _load_each(
+    paths: list[Path], load_one: Callable[[Path], Any]
+) -> tuple[dict[str, Any], list[tuple[Path, str]]]:
+    """What the sound files hold, by name, and the problems of the others."""
+    loaded, found, first = {}, [], {}
+    for path in paths:
+        if path.stem in first:
+            found.append((path, f"{first[path.stem].name} has the same name; rename one"))
+            continue
+        first[path.stem] = path
+        try:
+            loaded[path.stem] = load_one(path)
+        except ConfigError as error:
+            found += error.problems
+    return loaded, found
+
+
+def _sources(experiment: Experiment, experiments: Mapping[str, Experiment]) -> list[Experiment]:
+    """The experiment and those its stress comes from, nearest first; stops where one recurs."""
+    chain = [experiment]
+    while chain[-1].stress.from_ in experiments:
+        source = experiments[chain[-1].stress.from_]
+        chain.append(source)
+        if source in chain[:-1]:
+            break
+    return chain
+
+
+def _broken_references(
+    experiments: Mapping[str, Experiment], names: Collection[str]
+) -> Iterator[tuple[Path, str]]:
+    for experiment in experiments.values():
+        start = experiment.stress.from_
+        if start is None:
+            continue
+        chain = _sources(experiment, experiments)
+        where = f"stress.from = {start}: "
+        if start not in names:
+            others = sorted(set(names) - {experiment.name})
+            hint = did_you_mean(start, others, "experiments here:")
+            yield experiment.path, f"{where}no such experiment in this folder{hint}"
+        elif chain[-1] is experiment:
+            circle = " → ".join(source.name for source in chain)
+            yield experiment.path, f"{where}leads back to itself ({circle})"
+        elif experiment.is_draw and chain[-1].stress.from_ is None:
+            for key, given in (
+                ("stress.R", any(source.stress.R is not None for source in chain)),
+                ("stress.E_min", any(source.stress.E_min is not None for source in chain)),
+                ("flow", any(source.flow is not None for source in chain)),
+            ):
+                if not given:
+                    yield experiment.path, f"{key}: missing here and in {start}; draw needs it"
+
+
+def _study_problems(
+    study: Study, experiments: Mapping[str, Experiment]
+) -> Iterator[tuple[Path, str]]:
+    known = {name: experiments[name] for name in study.experiments if name in experiments}
+    for place, name in enumerate(study.experiments):
+        where = f"experiments[{place}] = {name}: "
+        if name not in known:
+            hint = did_you_mean(name, experiments, "known experiments:")
+            yield study.path, f"{where}no such experiment{hint}"
+        elif study.data is None and known[name].measured is None:
+            yield study.path, (
+                f"{where}has no measured values; name a table with `measured` in its file, "
+                "or with `data` in this one"
+            )
+        elif study.data is not None:
+            try:
+                _read_rows(study.data_path, known[name])
+            except ConfigError as error:
+                yield from error.problems
+    for text in _hold_out_problems(study, known, experiments):
+        yield study.path, text
+
+
+def _hold_out_problems(
+    study: Study, known: Mapping[str, Experiment], experiments: Mapping[str, Experiment]
+) -> Iterator[str]:
+    held_out = study.experiments if study.hold_out == "leave_one_out" else study.hold_out
+    if isinstance(held_out, tuple):
+        for name, experiment in known.items():
+            chain = [source.name for source in _sources(experiment, experiments)]
+            if len(chain) > 1 and set(chain) & set(held_out):
+                yield (
+                    f"hold_out: {name} takes its stress from {chain[1]}, which would carry "
+                    "held-out data across; write its E, s, R and E_min out"
+                )
+    elif isinstance(held_out, HeldOutLoadCells):
+        names = sorted({cell.name for one in known.values() for cell in one.load_cells})
+        for place, name in enumerate(held_out.load_cells):
+            if name not in names and len(known) == len(study.experiments):
+                hint = did_you_mean(name, names, "known load cells:")
+                yield f"hold_out.load_cells[{place}] = {name}: no such load cell{hint}"
+    else:
+        most = max((one.mass_scheduled for one in known.values()), default=math.inf)
+        if held_out.mass_drawn_above >= most:
+            yield (
+                f"hold_out.mass_drawn_above = {held_out.mass_drawn_above:g}: holds nothing out; "
+                f"the experiments draw up to {most:g} kg"
+            )

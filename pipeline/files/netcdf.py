@@ -1,0 +1,195 @@
+"""NetCDF as the contract asks for it: CF metadata and encoding from `variables.yaml`."""
+
+from __future__ import annotations
+
+import json
+import platform
+import subprocess
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import yaml
+
+from pipeline import __version__
+from pipeline.config.experiment import Experiment
+from pipeline.config.load import digest, resolved
+from pipeline.files.atomic import whole_file
+
+FORMAT_VERSION = "1.0"
+REFERENCES = "Gómez & Castro 2022, IJRMMS 154, 105124, doi:10.1016/j.ijrmms.2022.105124"
+COORDINATES = ("x", "y", "z", "time", "replicate")
+STATISTICS = {  # suffix: (words, cell method over replicates)
+    "mean": ("mean over replicates", "realization: mean"),
+    "std": ("standard deviation over replicates", "realization: standard_deviation"),
+    "se": ("standard error of the mean over replicates", None),
+    "p05": ("5th percentile over replicates", None),
+    "p50": ("median over replicates", "realization: median"),
+    "p95": ("95th percentile over replicates", None),
+}
+AS_DECLARED = "_as_declared"
+
+
+@cache
+def variable_table() -> dict[str, dict[str, Any]]:
+    """Metadata of each variable by name, from `variables.yaml`."""
+    return yaml.safe_load(files(__package__).joinpath("variables.yaml").read_text("utf-8"))
+
+
+def describe(name: str) -> dict[str, Any]:
+    """Metadata of a variable, of one of its statistics, or of either as declared.
+
+    Raises
+    ------
+    KeyError
+        If neither `variables.yaml` nor the statistics of what is there know the name.
+    """
+    table = variable_table()
+    if name in table:
+        return dict(table[name])
+    if name.endswith(AS_DECLARED) or f"{AS_DECLARED}_" in name:
+        entry = describe(name.replace(AS_DECLARED, ""))
+        long_name = f"{entry['long_name']}, with the parameters as declared"
+        return entry | {
+            "long_name": long_name,
+            "ancillary": [_as_declared(other) for other in entry.get("ancillary", ())],
+        }
+    base, _, suffix = name.rpartition("_")
+    if base not in table or suffix not in STATISTICS:
+        raise KeyError(f"{name} is not in variables.yaml")
+    words, method = STATISTICS[suffix]
+    entry = dict(table[base])
+    methods = [m for m in (entry.pop("cell_methods", None), method) if m]
+    entry |= {"long_name": f"{entry['long_name']}: {words}"}
+    if methods:
+        entry["cell_methods"] = " ".join(methods)
+    if suffix == "mean":
+        entry["ancillary"] = [f"{base}_std", f"{base}_se", "replicate_count"]
+    return entry
+
+
+def _as_declared(name: str) -> str:
+    if name == "replicate_count":
+        return name
+    base, _, suffix = name.rpartition("_")
+    return f"{base}{AS_DECLARED}_{suffix}"
+
+
+def write_dataset(
+    path: str | Path,
+    dataset: xr.Dataset,
+    experiment: Experiment,
+    rule: str,
+    title: str,
+    inputs: Iterable[str | Path] = (),
+    attributes: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a dataset whole, with metadata, encoding and provenance.
+
+    `inputs` are the netCDF files that it was made from: their history lines come first.
+    Metadata of a variable comes from `variables.yaml`; a name it does not know raises KeyError.
+    """
+    dataset = dataset.copy()
+    for axis in ("x", "y", "z"):
+        if axis in dataset.dims:
+            dataset[f"{axis}_bnds"] = ((axis, "bnds"), _bounds(dataset[axis].values))
+    encoding = {}
+    for name in list(dataset.variables):
+        if str(name).endswith("_bnds"):
+            dataset[name].attrs = {}
+            encoding[name] = {"_FillValue": None, "dtype": "float64"}
+            continue
+        entry = describe(str(name))
+        dataset[name].attrs = _attributes(str(name), entry, dataset)
+        encoding[name] = _encoding(str(name), entry, dataset[name])
+    dataset.attrs = _provenance(experiment, rule, title, inputs) | dict(attributes or {})
+    with whole_file(path) as partial:
+        dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
+
+
+def read_dataset(path: str | Path) -> xr.Dataset:
+    """A file of the pipeline, loaded; `time` stays a number."""
+    with xr.open_dataset(path, engine="netcdf4", decode_times=False) as dataset:
+        return dataset.load()
+
+
+def _bounds(centers: np.ndarray) -> np.ndarray:
+    half = 0.5 * (centers[1] - centers[0] if len(centers) > 1 else 2 * centers[0])
+    return np.column_stack([centers - half, centers + half])
+
+
+def _attributes(name: str, entry: dict[str, Any], dataset: xr.Dataset) -> dict[str, Any]:
+    skip = ("dtype", "fill", "flags", "ancillary")
+    attrs = {key: value for key, value in entry.items() if key not in skip}
+    if "flags" in entry:
+        attrs["flag_values"] = np.arange(len(entry["flags"]), dtype=np.int8)
+        attrs["flag_meanings"] = " ".join(entry["flags"])
+    present = [other for other in entry.get("ancillary", ()) if other in dataset]
+    if present:
+        attrs["ancillary_variables"] = " ".join(present)
+    if name in ("x", "y", "z"):
+        attrs["bounds"] = f"{name}_bnds"
+    return attrs
+
+
+def _encoding(name: str, entry: dict[str, Any], variable: xr.DataArray) -> dict[str, Any]:
+    if "dtype" not in entry:
+        return {"dtype": "S1"} if variable.dtype.kind in "US" else {}
+    encoding: dict[str, Any] = {"dtype": entry["dtype"], "_FillValue": entry.get("fill")}
+    if variable.ndim >= 2 and variable.size > 1000:
+        sizes = variable.sizes
+        chunks = tuple(1 if dim in ("time", "replicate") else sizes[dim] for dim in variable.dims)
+        if "z" not in variable.dims:
+            chunks = variable.shape
+        encoding |= {"zlib": True, "complevel": 4, "shuffle": True, "chunksizes": chunks}
+    return encoding
+
+
+def _provenance(
+    experiment: Experiment, rule: str, title: str, inputs: Iterable[str | Path]
+) -> dict[str, Any]:
+    history = []
+    for path in inputs:
+        with xr.open_dataset(path, engine="netcdf4", decode_cf=False) as source:
+            history += [
+                line
+                for line in str(source.attrs.get("history", "")).splitlines()
+                if line not in history
+            ]
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    history.append(f"{now} {rule}: pipeline {__version__}")
+    return {
+        "Conventions": "CF-1.11",
+        "title": f"{title}: {experiment.title}",
+        "source": f"pipeline {__version__}, Python {platform.python_version()}",
+        "history": "\n".join(history),
+        "references": REFERENCES,
+        "experiment": experiment.name,
+        "data_label": experiment.data_label,
+        "config": json.dumps(resolved(experiment), ensure_ascii=False),
+        "config_sha256": digest(experiment),
+        "git_revision": git_revision(),
+        "root_seed": str(experiment.seed),
+        "random_generator": "numpy PCG64, SeedSequence(seed, (experiment, purpose, replicate))",
+        "format_version": FORMAT_VERSION,
+    }
+
+
+@cache
+def git_revision() -> str:
+    """Revision of the source, with -dirty if it was changed; "unknown" outside a checkout."""
+    try:
+        return subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=40"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"

@@ -1,0 +1,367 @@
+"""Gravity flow by void diffusion on a cubic lattice.
+
+Arrays have shape (nz, ny, nx); level 0 is the base. Drawing a cell at a drawpoint leaves a void
+that climbs: at each level it exchanges places with one granular cell of the nine above, chosen
+with probability proportional to (1/d)^n, where d = 1, sqrt(2), sqrt(3) and n is the flow exponent.
+A void that loosens a stagnant cell parks in its place with probability q (bulking).
+
+`pipeline.lattice.flow_reference` does the same slowly and obviously, with the same random draws.
+
+Source: void diffusion of Gomez & Castro (2022), IJRMMS 154, 105124, section 1.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from pipeline.lattice.cells import AIR, MOVEMENT, OUTSIDE, STAGNANT, VOID
+
+DRAWN_CELLS, LOOSENED_CELLS, PARKED_VOIDS, HANG_UPS, VOID_STEPS = range(5)
+"""Positions in ``FlowState.counters``."""
+
+
+@dataclass(frozen=True)
+class FlowState:
+    """Everything that drawing changes; the kernels write into these arrays.
+
+    Ground, on (z, y, x):
+
+    - ``code`` int8: cell codes of `pipeline.lattice.cells`.
+    - ``cell_id`` int32: flat index of the initial place of the cell that is here now; -1 where
+      there is none. Properties of cells do not move: look them up with it.
+    - ``moved`` bool: a granular cell came to this place since the caller last cleared the flag
+      (a void may have taken the place since).
+
+    Movement zones; a place is loosened once a void has been there:
+
+    - ``zone`` int16 (z, y, x): the drawpoint whose void loosened this place; -1 if none has.
+    - ``zone_root`` int16 (drawpoint): the lowest label of the connected zone that the label
+      belongs to. Zones connect where loosened places touch by face, edge or corner.
+    - ``level_min_x``, ``level_max_x`` int32 (drawpoint, z): x extent of each label; nx and -1
+      where a label is absent.
+
+    Drawpoints: the base cells of drawpoint d are the rows ``opening_offsets[d]`` to
+    ``opening_offsets[d + 1]`` of ``opening_cells`` int32 (cell, 3), as (z, y, x) indices.
+
+    The drawn sequence, in its first ``counters[DRAWN_CELLS]`` entries: ``drawn_cell`` int32 (the
+    cell's identity), ``drawn_drawpoint`` int16, and ``drawn_mass`` float64, the cumulative mass
+    in kg after the cell.
+
+    ``counters`` int64 (5): cells drawn; cells loosened, which is also the number of loosened
+    places; voids parked by bulking; voids parked by a hang-up; exchanges made by climbing voids.
+    """
+
+    code: np.ndarray
+    cell_id: np.ndarray
+    moved: np.ndarray
+    zone: np.ndarray
+    zone_root: np.ndarray
+    level_min_x: np.ndarray
+    level_max_x: np.ndarray
+    opening_cells: np.ndarray
+    opening_offsets: np.ndarray
+    drawn_cell: np.ndarray
+    drawn_drawpoint: np.ndarray
+    drawn_mass: np.ndarray
+    counters: np.ndarray
+
+
+def new_flow_state(code, openings):
+    """State of undisturbed ground.
+
+    ``code`` (nz, ny, nx) holds ``STAGNANT``, ``OUTSIDE`` and ``AIR`` only; it is copied.
+    ``openings`` has, for each drawpoint, an integer array (cells, 3) of the (z, y, x) indices of
+    its base cells. Raises ValueError for any other code, and for an opening that is empty, off
+    the lattice, or shared.
+    """
+    code = np.array(code, dtype=np.int8, order="C")
+    if not np.isin(code, (STAGNANT, OUTSIDE, AIR)).all():
+        raise ValueError("undisturbed ground holds only STAGNANT, OUTSIDE and AIR cells")
+    openings = [np.asarray(cells, dtype=np.int32).reshape(-1, 3) for cells in openings]
+    if not openings or min(map(len, openings)) == 0:
+        raise ValueError("each drawpoint needs at least one base cell, and one drawpoint is needed")
+    opening_cells = np.concatenate(openings)
+    if (opening_cells < 0).any() or (opening_cells >= code.shape).any():
+        raise ValueError(f"a drawpoint's base cell lies off the lattice of shape {code.shape}")
+    if len(np.unique(opening_cells, axis=0)) < len(opening_cells):
+        raise ValueError("a base cell belongs to one drawpoint, once")
+
+    nz, _, nx = code.shape
+    drawpoints = len(openings)
+    granular = code == STAGNANT
+    return FlowState(
+        code=code,
+        cell_id=np.where(granular, np.arange(code.size).reshape(code.shape), -1).astype(np.int32),
+        moved=np.zeros(code.shape, dtype=np.bool_),
+        zone=np.full(code.shape, -1, dtype=np.int16),
+        zone_root=np.arange(drawpoints, dtype=np.int16),
+        level_min_x=np.full((drawpoints, nz), nx, dtype=np.int32),
+        level_max_x=np.full((drawpoints, nz), -1, dtype=np.int32),
+        opening_cells=opening_cells,
+        opening_offsets=np.cumsum([0, *map(len, openings)]),
+        drawn_cell=np.full(granular.sum(), -1, dtype=np.int32),
+        drawn_drawpoint=np.full(granular.sum(), -1, dtype=np.int16),
+        drawn_mass=np.zeros(granular.sum()),
+        counters=np.zeros(5, dtype=np.int64),
+    )
+
+
+def climb_chances(exponent):
+    """Cumulative weights of the nine cells above a void, float64 (512, 9).
+
+    Row b is for the case that bit m of b says whether cell m is granular. The nine are in array
+    order: (-1, -1), (-1, 0), ... (1, 1) in (y, x). ``exponent`` is the flow exponent n.
+    """
+    weights = [
+        (1 / math.sqrt(1 + abs(dy) + abs(dx))) ** exponent for dy in (-1, 0, 1) for dx in (-1, 0, 1)
+    ]
+    granular = np.arange(512)[:, None] >> np.arange(9) & 1
+    return np.cumsum(granular * weights, axis=1)
+
+
+def draw_to(state, cell_mass, drawpoint, target_mass, chances, bulking, rng):
+    """Draw cells at ``drawpoint`` until the experiment's drawn mass is nearest to the target.
+
+    ``cell_mass`` float64 (nz*ny*nx): kg of each cell, by its identity. ``target_mass`` kg counts
+    from the start of the experiment, over all drawpoints. ``chances`` is `climb_chances` of the
+    flow exponent, ``bulking`` the probability 0..1 that a void parks where it loosens a cell.
+    ``rng`` is a ``numpy.random.Generator``, the only source of chance.
+
+    One more cell is drawn while the drawn mass plus half the mean mass of the granular cells in
+    the opening stays within the target. That is decided before any random number is taken, so
+    that a visit may be split into several without changing its outcome.
+
+    Changes ``state`` in place. Returns the shortfall in kg: what is missing to the target when
+    no granular cell is left in the opening, else 0. An empty opening stays empty.
+    """
+    return _draw_to(
+        state.code,
+        state.cell_id,
+        state.moved,
+        state.zone,
+        state.zone_root,
+        state.level_min_x,
+        state.level_max_x,
+        state.opening_cells[state.opening_offsets[drawpoint] : state.opening_offsets[drawpoint + 1]],
+        state.drawn_cell,
+        state.drawn_drawpoint,
+        state.drawn_mass,
+        state.counters,
+        cell_mass,
+        drawpoint,
+        target_mass,
+        chances,
+        bulking,
+        rng,
+    )
+
+
+def zone_geometry(state, cell_size):
+    """Height and width of the connected movement zone of each drawpoint, two float64 (drawpoint).
+
+    In the unit of ``cell_size``. The height reaches from the base to the top of the highest
+    loosened level; the width is the largest x extent of one level. 0 where nothing is loosened.
+    """
+    drawpoints, nz = state.level_min_x.shape
+    min_x = np.full_like(state.level_min_x, state.zone.shape[2])
+    max_x = np.full_like(state.level_max_x, -1)
+    np.minimum.at(min_x, state.zone_root, state.level_min_x)
+    np.maximum.at(max_x, state.zone_root, state.level_max_x)
+    extent = np.maximum(max_x - min_x + 1, 0)
+    height = np.where(extent > 0, np.arange(1, nz + 1), 0).max(axis=1)
+    width = extent.max(axis=1)
+    return height[state.zone_root] * cell_size, width[state.zone_root] * cell_size
+
+
+@njit(nogil=True, cache=True)
+def _draw_to(
+    code,
+    cell_id,
+    moved,
+    zone,
+    zone_root,
+    level_min_x,
+    level_max_x,
+    opening,
+    drawn_cell,
+    drawn_drawpoint,
+    drawn_mass,
+    counters,
+    cell_mass,
+    drawpoint,
+    target_mass,
+    chances,
+    bulking,
+    rng,
+):
+    drawn = counters[DRAWN_CELLS]
+    mass = drawn_mass[drawn - 1] if drawn > 0 else 0.0
+    while True:
+        count = 0
+        opening_mass = 0.0
+        for row in range(len(opening)):
+            k, j, i = opening[row]
+            if _is_granular(code[k, j, i]):
+                count += 1
+                opening_mass += cell_mass[cell_id[k, j, i]]
+        if count == 0:
+            return max(target_mass - mass, 0.0)
+        if mass + 0.5 * (opening_mass / count) > target_mass:
+            return 0.0
+
+        pick = int(rng.random() * count)
+        for row in range(len(opening)):
+            k, j, i = opening[row]
+            if _is_granular(code[k, j, i]):
+                if pick == 0:
+                    break
+                pick -= 1
+        mass += cell_mass[cell_id[k, j, i]]
+        drawn_cell[drawn] = cell_id[k, j, i]
+        drawn_drawpoint[drawn] = drawpoint
+        drawn_mass[drawn] = mass
+        drawn += 1
+        counters[DRAWN_CELLS] = drawn
+        if code[k, j, i] == STAGNANT:
+            counters[LOOSENED_CELLS] += 1
+            _loosen(zone, zone_root, level_min_x, level_max_x, k, j, i, drawpoint)
+        else:
+            _unite(zone_root, zone[k, j, i], drawpoint)
+        _climb(
+            code,
+            cell_id,
+            moved,
+            zone,
+            zone_root,
+            level_min_x,
+            level_max_x,
+            counters,
+            k,
+            j,
+            i,
+            drawpoint,
+            chances,
+            bulking,
+            rng,
+        )
+
+
+@njit(nogil=True, cache=True)
+def _climb(
+    code,
+    cell_id,
+    moved,
+    zone,
+    zone_root,
+    level_min_x,
+    level_max_x,
+    counters,
+    k,
+    j,
+    i,
+    drawpoint,
+    chances,
+    bulking,
+    rng,
+):
+    """Let the void that a drawn cell left at (k, j, i) climb until it parks or becomes air."""
+    steps = 0
+    while True:
+        granular = _granular_above(code, k, j, i)
+        if granular == 0:
+            break
+
+        threshold = rng.random() * chances[granular, 8]
+        chosen = 0
+        for m in range(8):
+            chosen += threshold >= chances[granular, m]
+        above_j = j + chosen // 3 - 1
+        above_i = i + chosen % 3 - 1
+        was_stagnant = code[k + 1, above_j, above_i] == STAGNANT
+        code[k, j, i] = MOVEMENT
+        cell_id[k, j, i] = cell_id[k + 1, above_j, above_i]
+        moved[k, j, i] = True
+        k, j, i = k + 1, above_j, above_i
+        steps += 1
+        if was_stagnant:
+            counters[LOOSENED_CELLS] += 1
+            _loosen(zone, zone_root, level_min_x, level_max_x, k, j, i, drawpoint)
+            if bulking >= 1.0 or (bulking > 0.0 and rng.random() < bulking):
+                counters[PARKED_VOIDS] += 1
+                counters[VOID_STEPS] += steps
+                code[k, j, i] = VOID
+                cell_id[k, j, i] = -1
+                return
+
+    counters[VOID_STEPS] += steps
+    cell_id[k, j, i] = -1
+    if _reaches_surface(code, k, j, i):
+        code[k, j, i] = AIR
+    else:
+        counters[HANG_UPS] += 1
+        code[k, j, i] = VOID
+
+
+@njit(nogil=True, cache=True)
+def _is_granular(cell):
+    return (cell == STAGNANT) | (cell == MOVEMENT)
+
+
+@njit(nogil=True, cache=True)
+def _granular_above(code, k, j, i):
+    """Bit m says whether cell m of the nine above is granular; the row of `climb_chances`."""
+    nz, ny, nx = code.shape
+    bits = 0
+    if k + 1 == nz:
+        return bits
+    if 0 < j < ny - 1 and 0 < i < nx - 1:
+        for m in range(9):
+            bits |= _is_granular(code[k + 1, j - 1 + m // 3, i - 1 + m % 3]) << m
+    else:
+        for jj in range(max(j - 1, 0), min(j + 2, ny)):
+            for ii in range(max(i - 1, 0), min(i + 2, nx)):
+                m = 3 * (jj - j + 1) + ii - i + 1
+                bits |= _is_granular(code[k + 1, jj, ii]) << m
+    return bits
+
+
+@njit(nogil=True, cache=True)
+def _reaches_surface(code, k, j, i):
+    """Whether a void with no granular cell above is open: to air, or with no void above it."""
+    nz, ny, nx = code.shape
+    no_void = True
+    if k + 1 < nz:
+        for jj in range(max(j - 1, 0), min(j + 2, ny)):
+            for ii in range(max(i - 1, 0), min(i + 2, nx)):
+                if code[k + 1, jj, ii] == AIR:
+                    return True
+                if code[k + 1, jj, ii] == VOID:
+                    no_void = False
+    return no_void
+
+
+@njit(nogil=True, cache=True)
+def _loosen(zone, zone_root, level_min_x, level_max_x, k, j, i, drawpoint):
+    """Add a place to the zone of a drawpoint and unite that zone with those that it touches."""
+    nz, ny, nx = zone.shape
+    zone[k, j, i] = drawpoint
+    level_min_x[drawpoint, k] = min(level_min_x[drawpoint, k], i)
+    level_max_x[drawpoint, k] = max(level_max_x[drawpoint, k], i)
+    for kk in range(max(k - 1, 0), min(k + 2, nz)):
+        for jj in range(max(j - 1, 0), min(j + 2, ny)):
+            for ii in range(max(i - 1, 0), min(i + 2, nx)):
+                if zone[kk, jj, ii] >= 0:
+                    _unite(zone_root, zone[kk, jj, ii], drawpoint)
+
+
+@njit(nogil=True, cache=True)
+def _unite(zone_root, label, other):
+    """Give the labels of two zones one root, the lower of their two; roots stay flat."""
+    low = min(zone_root[label], zone_root[other])
+    high = max(zone_root[label], zone_root[other])
+    if low < high:
+        for d in range(len(zone_root)):
+            if zone_root[d] == high:
+                zone_root[d] = low

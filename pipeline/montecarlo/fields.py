@@ -1,0 +1,117 @@
+"""Fields reduced over replicates with integer sums, so that any order gives the same bits.
+
+Stress enters as its difference from a reference profile, rounded to a grid of 2^-28 of the
+overburden (squares: of its square). Sums of such integers are exact: chunk → combine → finalise
+cannot depend on how replicates were shared out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from pipeline.lattice.cells import AIR, MOVEMENT, OUTSIDE, VOID
+from pipeline.lattice.grid import GRAVITY
+from pipeline.simulate import KPA, Setup
+
+GRID_BITS = 28
+DENSITY_UNIT = 2.0**-8  # kg m-3
+
+
+@dataclass
+class FieldSums:
+    """Sums over replicates on (time, z, y, x); integers in grid units.
+
+    `stress` and `square` hold Σ(σ − σ_ref) and Σ(σ − σ_ref)², `granular`, `movement` and `void`
+    count replicates, `density` sums the bulk density.
+    """
+
+    setup: Setup
+    count: int
+    stress: np.ndarray
+    square: np.ndarray
+    granular: np.ndarray
+    movement: np.ndarray
+    void: np.ndarray
+    density: np.ndarray
+
+    @classmethod
+    def empty(cls, setup: Setup) -> FieldSums:
+        """Sums over no replicate."""
+        shape = (setup.times, *setup.lattice.shape)
+        wide, narrow = (np.int64, np.int32)
+        kinds = (wide, wide, narrow, narrow, narrow, wide)
+        return cls(setup, 0, *(np.zeros(shape, kind) for kind in kinds))
+
+    def observe(self, t: int, code: np.ndarray, cell_id: np.ndarray, load: np.ndarray) -> None:
+        """Add one replicate's state at reading `t`; arrays (levels, y, x), `load` in N."""
+        levels = slice(0, code.shape[0])
+        reference, unit, square_unit = _scales(self.setup)
+        stress = load * (KPA / self.setup.lattice.cell_area)
+        granular = load > 0.0
+        off = np.where(granular, stress - reference[levels, None, None], 0.0)
+        self.stress[t, levels] += np.rint(off / unit).astype(np.int64)
+        self.square[t, levels] += np.rint(off * off / square_unit).astype(np.int64)
+        self.granular[t, levels] += granular
+        void = (code == VOID) | (code == AIR)
+        self.movement[t, levels] += (code == MOVEMENT) | void
+        self.void[t, levels] += void
+        weight = np.where(granular, self.setup.cell_weight[np.maximum(cell_id, 0)], 0.0)
+        density = weight / (GRAVITY * self.setup.lattice.cell_volume)
+        self.density[t, levels] += np.rint(density / DENSITY_UNIT).astype(np.int64)
+
+    def __iadd__(self, other: FieldSums) -> FieldSums:
+        self.count += other.count
+        for name in ("stress", "square", "granular", "movement", "void", "density"):
+            getattr(self, name).__iadd__(getattr(other, name))
+        return self
+
+    def finalise(self) -> xr.Dataset:
+        """Means, standard deviations (n − 1) and probabilities on (time, z, y, x), float32.
+
+        NaN outside the ground, above the filling, and, for stress, where no replicate (for its
+        standard deviation: at most one) has material.
+        """
+        reference, unit, square_unit = _scales(self.setup)
+        n = self.granular.astype(np.float64)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            off = self.stress * unit / n
+            variance = (self.square * square_unit - n * off**2) / (n - 1.0)
+            mean = np.where(n > 0, off + reference[None, :, None, None], np.nan)
+            std = np.where(n > 1, np.sqrt(np.maximum(variance, 0.0)), np.nan)
+        ground = self._ground()
+        parts = {
+            "vertical_stress_mean": mean,
+            "vertical_stress_std": std,
+            "movement_zone_probability": self.movement / self.count,
+            "void_probability": self.void / self.count,
+            "bulk_density_mean": self.density * DENSITY_UNIT / self.count,
+        }
+        dims = ("time", "z", "y", "x")
+        return xr.Dataset(
+            {
+                name: (dims, np.where(ground, values, np.nan).astype(np.float32))
+                for name, values in parts.items()
+            },
+            coords={axis: (axis, self.setup.lattice.centers(axis)) for axis in "zyx"},
+        )
+
+    def _ground(self) -> np.ndarray:
+        """Places on (time, z, y, x) that are ground and, while filling, filled."""
+        inside = np.broadcast_to(self.setup.code != OUTSIDE, self.stress.shape)
+        if self.setup.masses:
+            return inside
+        return inside & (self.granular > 0)
+
+
+def _scales(setup: Setup) -> tuple[np.ndarray, float, float]:
+    """Reference stress of each level (kPa) and the units of the two sums (kPa, kPa²)."""
+    lattice = setup.lattice
+    density = setup.experiment.material.bulk_density
+    level_stress = density * GRAVITY * lattice.cell_size * KPA
+    reference = level_stress * np.arange(lattice.nz, 0, -1)
+    scale = 2.0 ** math.ceil(math.log2(level_stress * lattice.nz))
+    return reference, scale * 2.0**-GRID_BITS, scale**2 * 2.0**-GRID_BITS

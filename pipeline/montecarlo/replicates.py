@@ -1,0 +1,176 @@
+"""Monte Carlo replicates in chunks on Dask, reduced inside the task."""
+
+from __future__ import annotations
+
+import logging
+import math
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+
+import dask
+import numpy as np
+import xarray as xr
+
+from pipeline.files.netcdf import AS_DECLARED
+from pipeline.montecarlo.fields import FieldSums
+from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
+from pipeline.parameters import Parameters
+from pipeline.simulate import Readings, Setup, simulate
+
+log = logging.getLogger(__name__)
+
+DIMS = {  # of a Readings attribute, after `replicate`
+    "vertical_stress": ("time", "load_cell"),
+    "base_vertical_stress": ("time",),
+    "base_vertical_stress_std": ("time",),
+    "weight_balance_error": ("time",),
+    "negative_s_share": (),
+    "movement_zone_height": ("time",),
+    "movement_zone_width": ("time",),
+    "replicate_mass_drawn": ("time",),
+    "drawpoint_shortfall": ("drawpoint",),
+    "hang_ups": (),
+    "drawn_cell": ("extraction",),
+    "drawn_drawpoint": ("extraction",),
+    "drawn_mass": ("extraction",),
+}
+
+
+@dataclass(frozen=True)
+class Execution:
+    """Where replicates run: `workers` threads, or the Dask cluster at `scheduler`.
+
+    `chunk` is the number of replicates in a task (None: about four tasks for each worker). None
+    of the three changes a bit of the results.
+    """
+
+    workers: int = 1
+    scheduler: str | None = None
+    chunk: int | None = None
+
+
+def run_replicates(
+    setup: Setup,
+    parameters: Parameters,
+    count: int,
+    execution: Execution = Execution(),
+    purposes: tuple[int, int] = (PACKING, FLOW),
+    fields: bool = True,
+) -> tuple[list[Readings], FieldSums | None]:
+    """Readings of `count` replicates in order and, if asked, the sums of their fields.
+
+    `purposes` are the stream purposes of packing and flow.
+    """
+    chunk = execution.chunk or math.ceil(count / (4 * execution.workers))
+    tasks = [
+        dask.delayed(_run_chunk, pure=False)(
+            setup, parameters, first, min(first + chunk, count), purposes, fields
+        )
+        for first in range(0, count, chunk)
+    ]
+    with dask_session(execution), _progress(setup.experiment.name, count):
+        parts = dask.compute(*tasks)
+    sums = None
+    if fields:
+        sums = FieldSums.empty(setup)
+        for _, part in parts:
+            sums += part
+    return [readings for chunk_readings, _ in parts for readings in chunk_readings], sums
+
+
+def replicates_dataset(
+    setup: Setup, replicates: Sequence[Readings], declared: Sequence[Readings] | None = None
+) -> xr.Dataset:
+    """Readings on (replicate, time, load_cell) with `mass_drawn` or `fill_height` (time).
+
+    `declared` are the same replicates with the parameters as declared; their readings get names
+    that end in `_as_declared`. The extraction record is padded with -1.
+    """
+    experiment = setup.experiment
+    data = {name: value for name, value in _stacked(replicates)}
+    if declared is not None:
+        data |= {f"{name}{AS_DECLARED}": value for name, value in _stacked(declared)
+                 if "time" in value[0]}
+    if setup.masses:
+        data["mass_drawn"] = ("time", np.array(setup.masses))
+        data["drawpoint_name"] = ("drawpoint", _names(experiment.drawpoints))
+    else:
+        data["fill_height"] = ("time", np.array(setup.fill_levels))
+    coords = {
+        "time": ("time", np.arange(setup.times, dtype=np.float64)),
+        "replicate": ("replicate", np.arange(len(replicates), dtype=np.int32)),
+    }
+    cells = experiment.load_cells
+    if cells:
+        coords["load_cell_name"] = ("load_cell", _names(cells))
+        for key in ("x", "y", "width", "length"):
+            values = np.array([getattr(cell, key) for cell in cells])
+            (coords if key in "xy" else data)[f"load_cell_{key}"] = ("load_cell", values)
+    return xr.Dataset(data, coords=coords)
+
+
+@contextmanager
+def dask_session(execution: Execution) -> Iterator[None]:
+    """The only place that configures Dask: a thread pool, or a client of a running cluster."""
+    if execution.scheduler is None:
+        scheduler = "threads" if execution.workers > 1 else "synchronous"
+        with dask.config.set(scheduler=scheduler, num_workers=execution.workers):
+            yield
+        return
+    from distributed import Client
+
+    with Client(execution.scheduler, set_as_default=True):
+        yield
+
+
+def _run_chunk(setup, parameters, first, last, purposes, fields):
+    sums = FieldSums.empty(setup) if fields else None
+    readings = []
+    experiment = setup.experiment
+    for replicate in range(first, last):
+        packing, flow = (
+            random_stream(experiment.seed, experiment.name, purpose, replicate)
+            for purpose in purposes
+        )
+        observe = sums.observe if sums is not None else None
+        readings.append(simulate(setup, parameters, packing, flow, observe))
+    if sums is not None:
+        sums.count = last - first
+    return readings, sums
+
+
+@contextmanager
+def _progress(name: str, count: int) -> Iterator[None]:
+    """A bar on a terminal; two lines in a log."""
+    start = time.perf_counter()
+    log.info("%s: %d replicates", name, count)
+    bar = nullcontext()
+    if sys.stderr.isatty():
+        from dask.diagnostics import ProgressBar
+
+        bar = ProgressBar(out=sys.stderr)
+    with bar:
+        yield
+    log.info("%s: %d replicates took %.2f s", name, count, time.perf_counter() - start)
+
+
+def _stacked(replicates: Sequence[Readings]) -> Iterator[tuple[str, tuple]]:
+    for name, dims in DIMS.items():
+        values = [getattr(readings, name) for readings in replicates]
+        if any(value is None for value in values):
+            continue
+        if dims == ("extraction",):
+            longest = max(len(value) for value in values)
+            padded = np.full((len(values), longest), -1, dtype=values[0].dtype)
+            for row, value in zip(padded, values, strict=True):
+                row[: len(value)] = value
+            yield name, (("replicate", *dims), padded)
+        else:
+            yield name, (("replicate", *dims), np.array(values))
+
+
+def _names(items: Sequence) -> np.ndarray:
+    return np.array([item.name for item in items], dtype="S")
