@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -65,6 +66,19 @@ class Parameters:
     def value(self, name: str) -> float:
         """Value of the parameter with this name in `FIELDS`."""
         return getattr(self, FIELDS[name])
+
+    def to_document(self) -> dict[str, Any]:
+        """As JSON-able data."""
+        law = self.E_min.model_dump(mode="json") if self.E_min else None
+        return asdict(replace(self, E_min=None)) | {"E_min": law}
+
+    @classmethod
+    def from_document(cls, document: Mapping[str, Any]) -> Parameters:
+        """Back from `to_document`."""
+        law = document["E_min"]
+        if law is not None:
+            law = (EMinTable if law["type"] == "table" else EMinPower).model_validate(law)
+        return cls(**{**document, "E_min": law})
 
 
 # name in an experiment's `calibrate` → attribute; `s` is the spread of s, its mean stays

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import xarray as xr
 
-from pipeline.config.experiment import Experiment
+from pipeline.config.experiment import Experiment, LoadCell
 from pipeline.files.measured import MeasuredRow, fill_levels, reading_masses
 from pipeline.lattice.block_model import cell_codes, lattice_of
 from pipeline.lattice.cells import OUTSIDE, STAGNANT
@@ -74,7 +74,8 @@ class Readings:
     columns) in kPa, lengths in m, masses in kg; `weight_balance_error` is relative to the weight
     put in; `negative_s_share` is the share of cells with s < 0. In a draw experiment
     `drawn_cell`, `drawn_drawpoint` and `drawn_mass` are the extraction record: which initial
-    cell came out of which drawpoint at which drawn mass.
+    cell came out of which drawpoint at which drawn mass. `replicate_vertical_stress`
+    (time, z, y, x) in kPa is kept where the experiment asks for it.
     """
 
     vertical_stress: np.ndarray
@@ -90,6 +91,7 @@ class Readings:
     drawn_cell: np.ndarray | None = None
     drawn_drawpoint: np.ndarray | None = None
     drawn_mass: np.ndarray | None = None
+    replicate_vertical_stress: np.ndarray | None = None
 
 
 class WeightBalanceError(RuntimeError):
@@ -110,22 +112,37 @@ def make_setup(
     lattice = lattice_of(experiment)
     code = cell_codes(block_model)
     density = block_model["bulk_density"].values.astype(np.float64)
-    footprints = np.array(
-        [lattice.covered_area(c.x, c.y, c.width, c.length) for c in experiment.load_cells]
-    ).reshape(-1, lattice.ny, lattice.nx)
-    footprints = footprints / footprints.sum(axis=(1, 2), keepdims=True)
+    base = (code != OUTSIDE).any(axis=0)
+    if experiment.load_cells:
+        footprints = np.array([_footprint(lattice, base, cell) for cell in experiment.load_cells])
+    else:
+        footprints = (base / base.sum())[None]
     draw = experiment.is_draw
     return Setup(
         experiment=experiment,
         lattice=lattice,
         code=code,
         cell_weight=(density.ravel() * GRAVITY * lattice.cell_volume).astype(dtype),
-        base=(code != OUTSIDE).any(axis=0),
+        base=base,
         footprints=footprints,
         fill_levels=() if draw else fill_levels(experiment, rows),
         masses=reading_masses(experiment, rows) if draw else (),
         openings=tuple(_openings(experiment, lattice, code)) if draw else (),
     )
+
+
+def load_cells(experiment: Experiment) -> tuple[LoadCell, ...]:
+    """The declared load cells; without any, one called "base" under the whole base."""
+    g = experiment.geometry
+    whole = {"name": "base", "x": g.width / 2, "y": g.length / 2}
+    size = {"width": g.width, "length": g.length}
+    return experiment.load_cells or (LoadCell(**whole, **size),)
+
+
+def _footprint(lattice: Lattice, base: np.ndarray, cell: LoadCell) -> np.ndarray:
+    """Share (y, x) of each base cell with ground in a load cell's reading; adds up to 1."""
+    area = lattice.covered_area(cell.x, cell.y, cell.width, cell.length) * base
+    return area / area.sum()
 
 
 def simulate(
@@ -329,11 +346,16 @@ class _Recorder:
             weight_balance_error=np.zeros(times),
             negative_s_share=self.negative_s_share,
         )
+        if self.setup.experiment.keep_fields:
+            shape = (times, *self.setup.lattice.shape)
+            self.readings.replicate_vertical_stress = np.full(shape, np.nan, dtype=np.float32)
 
     def sweep(self, t, cells, code, relaxation, top_fraction, keep):
         """One sweep, read at time `t`; returns the carried load (z, y, x) in N if `keep`."""
         setup, readings = self.setup, self.readings
-        load = np.zeros(code.shape if keep else (0, 0, 0), dtype=setup.cell_weight.dtype)
+        fields = readings.replicate_vertical_stress
+        shape = code.shape if keep or fields is not None else (0, 0, 0)
+        load = np.zeros(shape, dtype=setup.cell_weight.dtype)
         base_load = np.zeros(code.shape[1:])
         weight, shed = stress_sweep(*cells, code, relaxation, top_fraction, load, base_load)
         error = abs(weight - base_load.sum() - shed) / weight
@@ -348,4 +370,6 @@ class _Recorder:
         readings.base_vertical_stress[t] = on_ground.mean()
         readings.base_vertical_stress_std[t] = on_ground.std()
         readings.weight_balance_error[t] = error
+        if fields is not None:
+            fields[t, : len(load)] = load / setup.lattice.cell_area * KPA
         return load

@@ -6,7 +6,6 @@ above it.
 """
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,16 +27,19 @@ from pipeline.config.messages import (
     Inconsistent,
     did_you_mean,
     quantity,
+    read_number,
     run_checks,
     whole,
 )
 
 MAX_CELLS = 2e9
 """Lattices beyond this number of cells are taken for a mistake of unit."""
+MAX_STEPS = 1e5
+"""So are more readings, or more increments of one draw line, than this."""
 
 _MM, _PERCENT, _G_CM3 = (0.001,), (0.01,), (1000.0, 0.001)
 
-Length = quantity("a length in m, above 0 and at most 10000", slips=_MM, gt=0, le=1e4)
+Length = quantity("a length in m, from 1e-6 to 10000", slips=_MM, ge=1e-6, le=1e4)
 Height = quantity("a height in m, from 0 to 10000", slips=_MM, ge=0, le=1e4)
 Position = quantity("a position in m, from 0 to 10000", slips=_MM, ge=0, le=1e4)
 Mass = quantity("a mass in kg, above 0", gt=0)
@@ -133,11 +135,12 @@ Mask = Annotated[CylinderMask | DrawbellMask | FileMask, Field(discriminator="ty
 def _lattice_fits(width, length, height, cell_size) -> Iterator[Found]:
     sides = {"width": width, "length": length, "height": height}
     least = min(sides, key=sides.get)
+    cells = width * length * height / cell_size**3
     if cell_size > sides[least]:
-        hint = f"; did you mean {cell_size / 1000:.6g}?" if cell_size / 1000 <= sides[least] else ""
+        in_mm = cell_size / 1000 <= sides[least] and cells * 1e9 <= MAX_CELLS
+        hint = f"; did you mean {cell_size / 1000:.6g}?" if in_mm else ""
         text = f"expected a cell size in m, at most the {least} ({sides[least]:g} m){hint}"
         yield ("cell_size",), text
-    cells = width * length * height / cell_size**3
     if cells > MAX_CELLS:
         yield ("cell_size",), (
             f"makes a lattice of {cells:.2g} cells, expected at most {MAX_CELLS:.0g}; "
@@ -253,7 +256,9 @@ class Scatter(Strict):
 
 
 def _scatter(value: Any) -> Any:
-    return value if isinstance(value, dict | Scatter) else {"mean": value}
+    if isinstance(value, dict | Scatter):
+        return value
+    return {"mean": read_number(value, "a number, or {mean, std}")}
 
 
 def _table_fits(height, value) -> Iterator[Found]:
@@ -382,6 +387,10 @@ class LoadCell(BaseArea):
 def _increment_fits(mass, increment) -> Iterator[Found]:
     if increment > mass:
         yield ("increment",), f"expected at most the line's mass ({mass:g} kg)"
+    elif mass / MAX_STEPS > increment:
+        yield ("increment",), (
+            f"expected at least {mass / MAX_STEPS:g} kg, for at most {MAX_STEPS:g} increments"
+        )
 
 
 def _no_repeats(drawpoints) -> Iterator[Found]:
@@ -433,6 +442,8 @@ class Published(Strict):
     """Measured mean vertical stress as published, kPa."""
     measured_std: Stress_kPa | None = None
     """Measured standard deviation as published, kPa."""
+    measured_std_between: Literal["places", "repeats"] | None = None
+    """What that scatter is between: places on one base, or repeats of the test."""
     mean_absolute_error: Stress_kPa | None = None
     """Published mean of |experiment - simulation|, kPa."""
     test: whole("a whole number, 1 or more", ge=1, le=10**6) | None = None
@@ -475,10 +486,10 @@ def _attenuation_fits(geometry, stress) -> Iterator[Found]:
 
 
 def _areas_fit(key: str, areas, geometry) -> Iterator[Found]:
-    repeated = Counter(area.name for area in areas)
+    names = [area.name for area in areas]
     for place, area in enumerate(areas):
-        if repeated[area.name] > 1:
-            yield (key, place, "name"), f"this name is given to {repeated[area.name]} of {key}"
+        if (first := names.index(area.name)) < place:
+            yield (key, place, "name"), f"{key}[{first}] has this name; give each its own"
         for center, side in (("x", "width"), ("y", "length")):
             middle, extent = getattr(area, center), getattr(area, side)
             limit = getattr(geometry, side)
@@ -552,6 +563,10 @@ def _readings_end_with_the_draw(draw, readings) -> Iterator[Found]:
     limit = total * (1 + 1e-9)
     if readings.every is not None and readings.every > limit:
         yield ("readings", "every"), f"expected at most the mass of all draw lines ({total:g} kg)"
+    if readings.every is not None and readings.every < total / MAX_STEPS:
+        yield ("readings", "every"), (
+            f"expected at least {total / MAX_STEPS:g} kg, for at most {MAX_STEPS:g} readings"
+        )
     for place, mass in enumerate(readings.at_mass_drawn or ()):
         if mass > limit:
             yield ("readings", "at_mass_drawn", place), (
@@ -580,7 +595,7 @@ def _assumed_keys_exist(assumed) -> Iterator[Found]:
     for place, entry in enumerate(assumed):
         first, *rest = entry.split(".")
         if first not in keys:
-            yield ("assumed", place), "unknown key" + did_you_mean(first, keys, "known keys:")
+            yield ("assumed", place), "no such key" + did_you_mean(first, keys, "known keys:")
         elif not all(rest):
             yield ("assumed", place), "expected keys joined by single dots, such as stress.E"
 

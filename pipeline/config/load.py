@@ -23,17 +23,22 @@ class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers: dict = {}
 
     def construct_mapping(self, node, deep=False):
-        seen: dict[str, int] = {}
-        for key, _ in getattr(node, "value", ()):
-            line = key.start_mark.line + 1
-            if key.value in seen and key.tag != "tag:yaml.org,2002:merge":
+        first: dict[str, int] = {}
+        for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
+            if not isinstance(key, yaml.ScalarNode):
+                continue
+            if key.value in first:
                 raise yaml.constructor.ConstructorError(
-                    problem=f"key {key.value} is given twice, first in line {seen[key.value]}",
+                    problem=f"key {key.value} is given twice, first in line {first[key.value]}",
                     problem_mark=key.start_mark,
                 )
-            if isinstance(key, yaml.ScalarNode):
-                seen[key.value] = line
+            first[key.value] = key.start_mark.line + 1
         return super().construct_mapping(node, deep=deep)
+
+    def construct_scalar(self, node):
+        """Text with the two halves of a JSON escape (\\ud83d\\ude00) joined to one character."""
+        text = super().construct_scalar(node)
+        return text.encode("utf-16", "surrogatepass").decode("utf-16")
 
 
 _DECIMAL = r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
@@ -70,19 +75,28 @@ def _read_mapping(path: Path) -> dict:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        what = error.problem or error.context
-        remedy = "; indent with spaces, not tabs" if r"'\t'" in what else ""
-        stop(f"{where}not readable as YAML: {what}{remedy}")
+        stop(f"{where}not readable as YAML: {_what_yaml_says(error)}")
     except yaml.reader.ReaderError as error:
         line = text[: error.position].count("\n") + 1
         stop(f"line {line}: not readable as YAML: a control character; remove it")
     except (RecursionError, ValueError, OverflowError):
-        stop("not readable as YAML: nested too deeply or a number out of range")
+        stop("not readable as YAML: nested too deeply, or a number or character out of range")
     if content is None:
         stop("the file is empty; expected keys and values")
     if not isinstance(content, dict):
         stop(f"expected keys and values (key: value), found a {_kind(content)}")
     return content
+
+
+def _what_yaml_says(error: yaml.MarkedYAMLError) -> str:
+    text = error.problem or error.context
+    if "another document" in text:
+        return "a second document starts here; keep one in a file, without ---"
+    if "constructor for the tag" in text:
+        return "a tag (!...) is not allowed here; write the plain value"
+    if "unhashable" in text:
+        return "a key has to be plain text"
+    return text + ("; indent with spaces, not tabs" if r"'\t'" in text else "")
 
 
 def _kind(content: Any) -> str:
@@ -101,7 +115,8 @@ def _load(model: type[BaseModel], path: Path) -> Any:
     raw = _read_mapping(path)
     found = []
     if not re.fullmatch(NAME_PATTERN.strip("^$"), path.stem):
-        found.append("the file's name is the name used in results: use letters, digits, _ and -")
+        text = "the file's name names the results; expected letters, digits, _ and -"
+        found.append(f"{path.name}: {text}")
     try:
         loaded = model.model_validate(raw).at(path)
     except ValidationError as error:
@@ -254,7 +269,7 @@ def _broken_references(
             others = sorted(set(names) - {experiment.name})
             hint = did_you_mean(start, others, "experiments here:")
             yield experiment.path, f"{where}no such experiment in this folder{hint}"
-        elif chain[-1] is experiment:
+        elif len(chain) > 1 and chain[-1] is experiment:
             circle = " → ".join(source.name for source in chain)
             yield experiment.path, f"{where}leads back to itself ({circle})"
         elif experiment.is_draw and chain[-1].stress.from_ is None:

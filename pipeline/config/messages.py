@@ -63,8 +63,7 @@ def shown(value: Any) -> str:
     elif isinstance(value, str):
         text = " ".join(value.split()) or '""'
     elif isinstance(value, list | tuple):
-        items = ["..." if isinstance(item, list | dict) else shown(item) for item in value[:9]]
-        text = f"[{', '.join(items)}{', ...' * (len(value) > 9)}]"
+        text = f"[{', '.join(map(shown, value[:9]))}{', ...' * (len(value) > 9)}]"
     elif isinstance(value, int) and abs(value) >= 10**20:
         text = "a number of more than 20 digits"
     else:
@@ -144,7 +143,7 @@ def whole(expected: str, *, ge: int, le: int) -> Any:
 
     def check(value: Any) -> int:
         number = read_number(value, expected)
-        if not number.is_integer() or not ge <= number <= le:
+        if not number.is_integer() or not ge <= int(value) <= le:
             raise ValueError(f"expected {expected}")
         return int(value)
 
@@ -202,8 +201,11 @@ def _line(location: Location, text: str, raw: Any) -> str:
             value = value[part]
         except (KeyError, IndexError, TypeError):
             return f"{dotted(location)}: {text}"
-    if not location or isinstance(value, Mapping) or text.startswith("unknown key"):
-        return f"{dotted(location)}: {text}" if location else text
+    if not location:
+        return text
+    nested = isinstance(value, list) and any(isinstance(item, list | dict) for item in value)
+    if nested or isinstance(value, Mapping) or text.startswith("unknown key"):
+        return f"{dotted(location)}: {text}"
     return f"{dotted(location)} = {shown(value)}: {text}"
 
 
@@ -220,7 +222,7 @@ def _translate(model: type[BaseModel], detail: Mapping, raw: Any) -> Iterator[Fo
         case "value_error":
             yield location, str(_cause(detail))
         case "missing":
-            yield location, f"missing; expected {_description(model, detail['loc'])}"
+            yield location, f"missing ({_description(model, detail['loc'])})"
         case "extra_forbidden":
             siblings = _models_at(model, detail["loc"][:-1])
             known = [f.alias or n for owner in siblings for n, f in owner.model_fields.items()]
@@ -243,14 +245,16 @@ def _translate(model: type[BaseModel], detail: Mapping, raw: Any) -> Iterator[Fo
                 yield location, f"expected a mapping with keys among {', '.join(keys)}"
             else:
                 yield location, f"expected a mapping: {_description(model, detail['loc'])}"
-        case "string_type" | "string_too_short" | "string_pattern_mismatch":
+        case "string_type" | "string_too_short":
             quotes = "; put it in quotes" if isinstance(detail["input"], int | float) else ""
-            text = "letters, digits, _ and -" if kind == "string_pattern_mismatch" else "text"
-            yield location, f"expected {text}{quotes}"
+            yield location, f"expected text{quotes}"
+        case "string_pattern_mismatch" if detail["ctx"]["pattern"] == NAME_PATTERN:
+            yield location, "expected letters, digits, _ and -"
         case "list_type" | "tuple_type":
             yield location, "expected a list; write [] when there is none"
         case "too_short":
-            yield location, "expected a list with at least one entry"
+            if not detail["input"]:  # otherwise an entry was bad, and is reported itself
+                yield location, "expected a list with at least one entry"
         case "bool_type":
             yield location, "expected true or false"
         case "none_required":
@@ -315,6 +319,6 @@ def _description(model: type[BaseModel], location: Location) -> str:
         for owner in _models_at(model, location[: cut - 1]):
             for name, field in owner.model_fields.items():
                 if key in (name, field.alias) and field.description:
-                    text = field.description
+                    text = field.description.replace("``", "").rstrip(".")
                     return text[0].lower() + text[1:] if text[1:2].islower() else text
     return "another value"

@@ -31,7 +31,7 @@ class HeldOutTail(Strict):
     """The end of each draw, an extrapolation in mass drawn."""
 
     mass_drawn_above: MassDrawn
-    """Readings beyond this mass drawn are held out, kg."""
+    """Mass drawn beyond which readings are held out, kg."""
 
 
 def _kind_of_hold_out(value: Any) -> str:

@@ -205,7 +205,8 @@ class _RowReader:
                 self._say(column, f"expected {expected}; write a bare number")
             return None
         if not math.isfinite(number):
-            self._say(column, f"expected {expected}; it must be finite, leave out a row without")
+            self._say(column, f"expected {expected}; it must be finite; a row without a value "
+                              "is left out")
             return None
         return number
 

@@ -41,8 +41,12 @@ def variable_table() -> dict[str, dict[str, Any]]:
     return yaml.safe_load(files(__package__).joinpath("variables.yaml").read_text("utf-8"))
 
 
-def describe(name: str) -> dict[str, Any]:
+def describe(name: str, statistics: bool = False) -> dict[str, Any]:
     """Metadata of a variable, of one of its statistics, or of either as declared.
+
+    With `statistics`, a suffix of `STATISTICS` is read as such first: `base_vertical_stress_std`
+    is the scatter between places in `replicates.nc` and that between replicates in
+    `statistics.nc`.
 
     Raises
     ------
@@ -50,16 +54,16 @@ def describe(name: str) -> dict[str, Any]:
         If neither `variables.yaml` nor the statistics of what is there know the name.
     """
     table = variable_table()
-    if name in table:
+    base, _, suffix = name.rpartition("_")
+    if name in table and not (statistics and base in table and suffix in STATISTICS):
         return dict(table[name])
-    if name.endswith(AS_DECLARED) or f"{AS_DECLARED}_" in name:
-        entry = describe(name.replace(AS_DECLARED, ""))
+    if AS_DECLARED in name:
+        entry = describe(name.replace(AS_DECLARED, ""), statistics)
         long_name = f"{entry['long_name']}, with the parameters as declared"
         return entry | {
             "long_name": long_name,
             "ancillary": [_as_declared(other) for other in entry.get("ancillary", ())],
         }
-    base, _, suffix = name.rpartition("_")
     if base not in table or suffix not in STATISTICS:
         raise KeyError(f"{name} is not in variables.yaml")
     words, method = STATISTICS[suffix]
@@ -87,12 +91,13 @@ def write_dataset(
     rule: str,
     title: str,
     inputs: Iterable[str | Path] = (),
+    statistics: bool = False,
     attributes: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a dataset whole, with metadata, encoding and provenance.
 
     `inputs` are the netCDF files that it was made from: their history lines come first.
-    Metadata of a variable comes from `variables.yaml`; a name it does not know raises KeyError.
+    Metadata of a variable comes from `describe`, which raises KeyError for an unknown name.
     """
     dataset = dataset.copy()
     for axis in ("x", "y", "z"):
@@ -104,12 +109,14 @@ def write_dataset(
             dataset[name].attrs = {}
             encoding[name] = {"_FillValue": None, "dtype": "float64"}
             continue
-        entry = describe(str(name))
+        entry = describe(str(name), statistics)
         dataset[name].attrs = _attributes(str(name), entry, dataset)
         encoding[name] = _encoding(str(name), entry, dataset[name])
     dataset.attrs = _provenance(experiment, rule, title, inputs) | dict(attributes or {})
     with whole_file(path) as partial:
-        dataset.to_netcdf(partial, engine="netcdf4", format="NETCDF4", encoding=encoding)
+        dataset.to_netcdf(
+            partial, engine="netcdf4", format="NETCDF4", encoding=encoding, unlimited_dims=()
+        )
 
 
 def read_dataset(path: str | Path) -> xr.Dataset:

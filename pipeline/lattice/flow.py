@@ -11,7 +11,7 @@ Source: void diffusion of Gomez & Castro (2022), IJRMMS 154, 105124, section 1.
 """
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -22,8 +22,7 @@ DRAWN_CELLS, LOOSENED_CELLS, PARKED_VOIDS, HANG_UPS, VOID_STEPS = range(5)
 """Positions in ``FlowState.counters``."""
 
 
-@dataclass(frozen=True)
-class FlowState:
+class FlowState(NamedTuple):
     """Everything that drawing changes; the kernels write into these arrays.
 
     Ground, on (z, y, x):
@@ -121,6 +120,7 @@ def climb_chances(exponent):
     return np.cumsum(granular * weights, axis=1)
 
 
+@njit(nogil=True, cache=True)
 def draw_to(state, cell_mass, drawpoint, target_mass, chances, bulking, rng):
     """Draw cells at ``drawpoint`` until the experiment's drawn mass is nearest to the target.
 
@@ -131,31 +131,50 @@ def draw_to(state, cell_mass, drawpoint, target_mass, chances, bulking, rng):
 
     One more cell is drawn while the drawn mass plus half the mean mass of the granular cells in
     the opening stays within the target. That is decided before any random number is taken, so
-    that a visit may be split into several without changing its outcome.
+    a visit may be split into several without changing its outcome.
 
-    Changes ``state`` in place. Returns the shortfall in kg: what is missing to the target when
-    no granular cell is left in the opening, else 0. An empty opening stays empty.
+    Changes the arrays of ``state``. Returns the shortfall in kg: what is missing to the target
+    when no granular cell is left in the opening, else 0. An empty opening stays empty.
     """
-    return _draw_to(
-        state.code,
-        state.cell_id,
-        state.moved,
-        state.zone,
-        state.zone_root,
-        state.level_min_x,
-        state.level_max_x,
-        state.opening_cells[state.opening_offsets[drawpoint] : state.opening_offsets[drawpoint + 1]],
-        state.drawn_cell,
-        state.drawn_drawpoint,
-        state.drawn_mass,
-        state.counters,
-        cell_mass,
-        drawpoint,
-        target_mass,
-        chances,
-        bulking,
-        rng,
-    )
+    opening = state.opening_cells
+    first = state.opening_offsets[drawpoint]
+    end = state.opening_offsets[drawpoint + 1]
+    drawn = state.counters[DRAWN_CELLS]
+    mass = state.drawn_mass[drawn - 1] if drawn > 0 else 0.0
+    while True:
+        count = 0
+        opening_mass = 0.0
+        for row in range(first, end):
+            k, j, i = opening[row, 0], opening[row, 1], opening[row, 2]
+            if _is_granular(state.code[k, j, i]):
+                count += 1
+                opening_mass += cell_mass[state.cell_id[k, j, i]]
+        if count == 0:
+            return max(target_mass - mass, 0.0)
+        if mass + 0.5 * (opening_mass / count) > target_mass:
+            return 0.0
+
+        skip = int(rng.random() * count)
+        row = first
+        while True:
+            k, j, i = opening[row, 0], opening[row, 1], opening[row, 2]
+            row += 1
+            if _is_granular(state.code[k, j, i]):
+                if skip == 0:
+                    break
+                skip -= 1
+        cell = state.cell_id[k, j, i]
+        mass += cell_mass[cell]
+        state.drawn_cell[drawn] = cell
+        state.drawn_drawpoint[drawn] = drawpoint
+        state.drawn_mass[drawn] = mass
+        drawn += 1
+        state.counters[DRAWN_CELLS] = drawn
+        if state.code[k, j, i] == STAGNANT:
+            _loosen(state, k, j, i, drawpoint)
+        else:
+            _unite(state.zone_root, state.zone[k, j, i], drawpoint)
+        _climb(state, k, j, i, drawpoint, chances, bulking, rng)
 
 
 def zone_geometry(state, cell_size):
@@ -164,8 +183,8 @@ def zone_geometry(state, cell_size):
     In the unit of ``cell_size``. The height reaches from the base to the top of the highest
     loosened level; the width is the largest x extent of one level. 0 where nothing is loosened.
     """
-    drawpoints, nz = state.level_min_x.shape
-    min_x = np.full_like(state.level_min_x, state.zone.shape[2])
+    nz, _, nx = state.zone.shape
+    min_x = np.full_like(state.level_min_x, nx)
     max_x = np.full_like(state.level_max_x, -1)
     np.minimum.at(min_x, state.zone_root, state.level_min_x)
     np.maximum.at(max_x, state.zone_root, state.level_max_x)
@@ -176,100 +195,21 @@ def zone_geometry(state, cell_size):
 
 
 @njit(nogil=True, cache=True)
-def _draw_to(
-    code,
-    cell_id,
-    moved,
-    zone,
-    zone_root,
-    level_min_x,
-    level_max_x,
-    opening,
-    drawn_cell,
-    drawn_drawpoint,
-    drawn_mass,
-    counters,
-    cell_mass,
-    drawpoint,
-    target_mass,
-    chances,
-    bulking,
-    rng,
-):
-    drawn = counters[DRAWN_CELLS]
-    mass = drawn_mass[drawn - 1] if drawn > 0 else 0.0
+def _climb(state, k, j, i, drawpoint, chances, bulking, rng):
+    """Let the void that a drawn cell left at (k, j, i) climb until it parks or becomes air.
+
+    The place of the void is written only where it stays. A place with a stagnant cell was never
+    a void's, so that zones are looked at there only.
+    """
+    nz, ny, nx = state.code.shape
+    code = state.code.reshape(-1)
+    cell_id = state.cell_id.reshape(-1)
+    moved = state.moved.reshape(-1)
+    counters = state.counters
+    place = (k * ny + j) * nx + i
     while True:
-        count = 0
-        opening_mass = 0.0
-        for row in range(len(opening)):
-            k, j, i = opening[row]
-            if _is_granular(code[k, j, i]):
-                count += 1
-                opening_mass += cell_mass[cell_id[k, j, i]]
-        if count == 0:
-            return max(target_mass - mass, 0.0)
-        if mass + 0.5 * (opening_mass / count) > target_mass:
-            return 0.0
-
-        pick = int(rng.random() * count)
-        for row in range(len(opening)):
-            k, j, i = opening[row]
-            if _is_granular(code[k, j, i]):
-                if pick == 0:
-                    break
-                pick -= 1
-        mass += cell_mass[cell_id[k, j, i]]
-        drawn_cell[drawn] = cell_id[k, j, i]
-        drawn_drawpoint[drawn] = drawpoint
-        drawn_mass[drawn] = mass
-        drawn += 1
-        counters[DRAWN_CELLS] = drawn
-        if code[k, j, i] == STAGNANT:
-            counters[LOOSENED_CELLS] += 1
-            _loosen(zone, zone_root, level_min_x, level_max_x, k, j, i, drawpoint)
-        else:
-            _unite(zone_root, zone[k, j, i], drawpoint)
-        _climb(
-            code,
-            cell_id,
-            moved,
-            zone,
-            zone_root,
-            level_min_x,
-            level_max_x,
-            counters,
-            k,
-            j,
-            i,
-            drawpoint,
-            chances,
-            bulking,
-            rng,
-        )
-
-
-@njit(nogil=True, cache=True)
-def _climb(
-    code,
-    cell_id,
-    moved,
-    zone,
-    zone_root,
-    level_min_x,
-    level_max_x,
-    counters,
-    k,
-    j,
-    i,
-    drawpoint,
-    chances,
-    bulking,
-    rng,
-):
-    """Let the void that a drawn cell left at (k, j, i) climb until it parks or becomes air."""
-    steps = 0
-    while True:
-        granular = _granular_above(code, k, j, i)
+        above = place + ny * nx
+        granular = _granular_at(code, above, j, i, ny, nx) if k + 1 < nz else 0
         if granular == 0:
             break
 
@@ -277,31 +217,31 @@ def _climb(
         chosen = 0
         for m in range(8):
             chosen += threshold >= chances[granular, m]
-        above_j = j + chosen // 3 - 1
-        above_i = i + chosen % 3 - 1
-        was_stagnant = code[k + 1, above_j, above_i] == STAGNANT
-        code[k, j, i] = MOVEMENT
-        cell_id[k, j, i] = cell_id[k + 1, above_j, above_i]
-        moved[k, j, i] = True
-        k, j, i = k + 1, above_j, above_i
-        steps += 1
+        dy, dx = chosen // 3 - 1, chosen % 3 - 1
+        above += dy * nx + dx
+        was_stagnant = code[above] == STAGNANT
+        code[place] = MOVEMENT
+        cell_id[place] = cell_id[above]
+        moved[place] = True
+        place = above
+        k += 1
+        j += dy
+        i += dx
+        counters[VOID_STEPS] += 1
         if was_stagnant:
-            counters[LOOSENED_CELLS] += 1
-            _loosen(zone, zone_root, level_min_x, level_max_x, k, j, i, drawpoint)
+            _loosen(state, k, j, i, drawpoint)
             if bulking >= 1.0 or (bulking > 0.0 and rng.random() < bulking):
                 counters[PARKED_VOIDS] += 1
-                counters[VOID_STEPS] += steps
-                code[k, j, i] = VOID
-                cell_id[k, j, i] = -1
+                code[place] = VOID
+                cell_id[place] = -1
                 return
 
-    counters[VOID_STEPS] += steps
-    cell_id[k, j, i] = -1
-    if _reaches_surface(code, k, j, i):
-        code[k, j, i] = AIR
+    cell_id[place] = -1
+    if _reaches_surface(state.code, k, j, i):
+        code[place] = AIR
     else:
         counters[HANG_UPS] += 1
-        code[k, j, i] = VOID
+        code[place] = VOID
 
 
 @njit(nogil=True, cache=True)
@@ -309,21 +249,22 @@ def _is_granular(cell):
     return (cell == STAGNANT) | (cell == MOVEMENT)
 
 
-@njit(nogil=True, cache=True)
-def _granular_above(code, k, j, i):
-    """Bit m says whether cell m of the nine above is granular; the row of `climb_chances`."""
-    nz, ny, nx = code.shape
+@njit(nogil=True, cache=True, inline="always")
+def _granular_at(code, center, j, i, ny, nx):
+    """Which of the nine cells of a level around (j, i), flat index ``center``, are granular.
+
+    One bit each, the row of `climb_chances`. Unsigned indices spare the test for negative ones.
+    """
     bits = 0
-    if k + 1 == nz:
-        return bits
     if 0 < j < ny - 1 and 0 < i < nx - 1:
         for m in range(9):
-            bits |= _is_granular(code[k + 1, j - 1 + m // 3, i - 1 + m % 3]) << m
+            near = np.uint64(center + (m // 3 - 1) * nx + m % 3 - 1)
+            bits |= _is_granular(code[near]) << m
     else:
-        for jj in range(max(j - 1, 0), min(j + 2, ny)):
-            for ii in range(max(i - 1, 0), min(i + 2, nx)):
-                m = 3 * (jj - j + 1) + ii - i + 1
-                bits |= _is_granular(code[k + 1, jj, ii]) << m
+        for m in range(9):
+            dy, dx = m // 3 - 1, m % 3 - 1
+            if 0 <= j + dy < ny and 0 <= i + dx < nx:
+                bits |= _is_granular(code[center + dy * nx + dx]) << m
     return bits
 
 
@@ -343,17 +284,19 @@ def _reaches_surface(code, k, j, i):
 
 
 @njit(nogil=True, cache=True)
-def _loosen(zone, zone_root, level_min_x, level_max_x, k, j, i, drawpoint):
+def _loosen(state, k, j, i, drawpoint):
     """Add a place to the zone of a drawpoint and unite that zone with those that it touches."""
+    zone = state.zone
     nz, ny, nx = zone.shape
+    state.counters[LOOSENED_CELLS] += 1
     zone[k, j, i] = drawpoint
-    level_min_x[drawpoint, k] = min(level_min_x[drawpoint, k], i)
-    level_max_x[drawpoint, k] = max(level_max_x[drawpoint, k], i)
+    state.level_min_x[drawpoint, k] = min(state.level_min_x[drawpoint, k], i)
+    state.level_max_x[drawpoint, k] = max(state.level_max_x[drawpoint, k], i)
     for kk in range(max(k - 1, 0), min(k + 2, nz)):
         for jj in range(max(j - 1, 0), min(j + 2, ny)):
             for ii in range(max(i - 1, 0), min(i + 2, nx)):
                 if zone[kk, jj, ii] >= 0:
-                    _unite(zone_root, zone[kk, jj, ii], drawpoint)
+                    _unite(state.zone_root, zone[kk, jj, ii], drawpoint)
 
 
 @njit(nogil=True, cache=True)

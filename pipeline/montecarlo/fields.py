@@ -70,7 +70,8 @@ class FieldSums:
         return self
 
     def finalise(self) -> xr.Dataset:
-        """Means, standard deviations (n − 1) and probabilities on (time, z, y, x), float32.
+        """Content of `fields.nc`: means, standard deviations (n − 1) and probabilities on
+        (time, z, y, x), float32, beside `mass_drawn` or `fill_height` (time).
 
         NaN outside the ground, above the filling, and, for stress, where no replicate (for its
         standard deviation: at most one) has material.
@@ -91,13 +92,18 @@ class FieldSums:
             "bulk_density_mean": self.density * DENSITY_UNIT / self.count,
         }
         dims = ("time", "z", "y", "x")
-        return xr.Dataset(
-            {
-                name: (dims, np.where(ground, values, np.nan).astype(np.float32))
-                for name, values in parts.items()
-            },
-            coords={axis: (axis, self.setup.lattice.centers(axis)) for axis in "zyx"},
-        )
+        data = {
+            name: (dims, np.where(ground, values, np.nan).astype(np.float32))
+            for name, values in parts.items()
+        }
+        setup = self.setup
+        clock = "mass_drawn" if setup.masses else "fill_height"
+        data[clock] = ("time", np.array(setup.masses or setup.fill_levels))
+        data["replicate_count"] = ((), np.int32(self.count))
+        coords = {axis: (axis, setup.lattice.centers(axis)) for axis in "zyx"}
+        coords["time"] = ("time", np.arange(setup.times, dtype=np.float64))
+        coords["realization"] = ((), np.int32(0))
+        return xr.Dataset(data, coords=coords)
 
     def _ground(self) -> np.ndarray:
         """Places on (time, z, y, x) that are ground and, while filling, filled."""

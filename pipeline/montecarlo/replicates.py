@@ -18,7 +18,7 @@ from pipeline.files.netcdf import AS_DECLARED
 from pipeline.montecarlo.fields import FieldSums
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.parameters import Parameters
-from pipeline.simulate import Readings, Setup, simulate
+from pipeline.simulate import Readings, Setup, load_cells, simulate
 
 log = logging.getLogger(__name__)
 
@@ -36,6 +36,7 @@ DIMS = {  # of a Readings attribute, after `replicate`
     "drawn_cell": ("extraction",),
     "drawn_drawpoint": ("extraction",),
     "drawn_mass": ("extraction",),
+    "replicate_vertical_stress": ("time", "z", "y", "x"),
 }
 
 
@@ -43,8 +44,8 @@ DIMS = {  # of a Readings attribute, after `replicate`
 class Execution:
     """Where replicates run: `workers` threads, or the Dask cluster at `scheduler`.
 
-    `chunk` is the number of replicates in a task (None: about four tasks for each worker). None
-    of the three changes a bit of the results.
+    `chunk` is the number of replicates in a task (None: a few tasks for each worker). None of the
+    three changes a bit of the results.
     """
 
     workers: int = 1
@@ -64,14 +65,14 @@ def run_replicates(
 
     `purposes` are the stream purposes of packing and flow.
     """
-    chunk = execution.chunk or math.ceil(count / (4 * execution.workers))
+    chunk = execution.chunk or math.ceil(count / execution.workers / (4 if fields else 1))
     tasks = [
         dask.delayed(_run_chunk, pure=False)(
             setup, parameters, first, min(first + chunk, count), purposes, fields
         )
         for first in range(0, count, chunk)
     ]
-    with dask_session(execution), _progress(setup.experiment.name, count):
+    with dask_session(execution):
         parts = dask.compute(*tasks)
     sums = None
     if fields:
@@ -79,6 +80,24 @@ def run_replicates(
         for _, part in parts:
             sums += part
     return [readings for chunk_readings, _ in parts for readings in chunk_readings], sums
+
+
+def run_both(
+    setup: Setup, used: Parameters, declared: Parameters, execution: Execution = Execution()
+) -> tuple[xr.Dataset, xr.Dataset]:
+    """Content of `replicates.nc` and `fields.nc` of an experiment.
+
+    Runs the experiment's replicates with the parameters `used` and, where calibration changed
+    them, once more on the same streams with those `declared`.
+    """
+    name, count = setup.experiment.name, setup.experiment.replicates
+    with progress(name, count):
+        replicates, sums = run_replicates(setup, used, count, execution)
+    as_declared = None
+    if declared != used:
+        with progress(f"{name} as declared", count):
+            as_declared, _ = run_replicates(setup, declared, count, execution, fields=False)
+    return replicates_dataset(setup, replicates, as_declared), sums.finalise()
 
 
 def replicates_dataset(
@@ -90,10 +109,13 @@ def replicates_dataset(
     that end in `_as_declared`. The extraction record is padded with -1.
     """
     experiment = setup.experiment
-    data = {name: value for name, value in _stacked(replicates)}
+    data = dict(_stacked(replicates))
     if declared is not None:
-        data |= {f"{name}{AS_DECLARED}": value for name, value in _stacked(declared)
-                 if "time" in value[0]}
+        data |= {
+            f"{name}{AS_DECLARED}": value
+            for name, value in _stacked(declared)
+            if "time" in value[0] and "z" not in value[0]
+        }
     if setup.masses:
         data["mass_drawn"] = ("time", np.array(setup.masses))
         data["drawpoint_name"] = ("drawpoint", _names(experiment.drawpoints))
@@ -103,12 +125,13 @@ def replicates_dataset(
         "time": ("time", np.arange(setup.times, dtype=np.float64)),
         "replicate": ("replicate", np.arange(len(replicates), dtype=np.int32)),
     }
-    cells = experiment.load_cells
-    if cells:
-        coords["load_cell_name"] = ("load_cell", _names(cells))
-        for key in ("x", "y", "width", "length"):
-            values = np.array([getattr(cell, key) for cell in cells])
-            (coords if key in "xy" else data)[f"load_cell_{key}"] = ("load_cell", values)
+    if experiment.keep_fields:
+        coords |= {axis: (axis, setup.lattice.centers(axis)) for axis in "zyx"}
+    cells = load_cells(experiment)
+    coords["load_cell_name"] = ("load_cell", _names(cells))
+    for key in ("x", "y", "width", "length"):
+        values = np.array([getattr(cell, key) for cell in cells])
+        (coords if key in "xy" else data)[f"load_cell_{key}"] = ("load_cell", values)
     return xr.Dataset(data, coords=coords)
 
 
@@ -143,8 +166,8 @@ def _run_chunk(setup, parameters, first, last, purposes, fields):
 
 
 @contextmanager
-def _progress(name: str, count: int) -> Iterator[None]:
-    """A bar on a terminal; two lines in a log."""
+def progress(name: str, count: int) -> Iterator[None]:
+    """Around `run_replicates`: a bar on a terminal, two lines in a log."""
     start = time.perf_counter()
     log.info("%s: %d replicates", name, count)
     bar = nullcontext()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-SKIPPED = ("drawn_cell", "drawn_drawpoint", "drawn_mass", "hang_ups", "drawpoint_shortfall")
+SKIPPED = ("extraction", "x")  # variables on these dims stay with the replicates
 
 
 def replicate_statistics(replicates: xr.Dataset) -> xr.Dataset:
@@ -18,7 +18,7 @@ def replicate_statistics(replicates: xr.Dataset) -> xr.Dataset:
     n = replicates.sizes["replicate"]
     data = {"replicate_count": ((), np.int32(n))}
     for name, variable in replicates.data_vars.items():
-        if name in SKIPPED:
+        if any(dim in SKIPPED for dim in variable.dims):
             continue
         if "replicate" not in variable.dims:
             data[name] = variable

@@ -1,0 +1,18 @@
+# Wiring only: what exists, what is wanted. Rules are in pipeline/workflow/rules/.
+from snakemake.utils import min_version
+
+min_version("9.19")
+
+
+configfile: "workflow_configs/default.yaml"
+
+
+include: "pipeline/workflow/rules/common.smk"
+include: "pipeline/workflow/rules/experiments.smk"
+
+
+
+rule all:
+    default_target: True
+    input:
+        index=f"{RESULTS}/index.html",

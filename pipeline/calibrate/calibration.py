@@ -1,0 +1,375 @@
+"""Calibration of an experiment on its own measured rows (eq 6), on common random numbers.
+
+Parameters are fitted in groups, each on the quantities that it acts on: the flow parameters on
+the movement zone's height and width, E, E_min and R on stresses, the spread of s on the spatial
+standard deviation. The mean stress on a base does not depend on s, so the groups do not fight.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import norm, qmc
+
+from pipeline.config.experiment import Experiment
+from pipeline.files.measured import MeasuredRow
+from pipeline.montecarlo.replicates import Execution, replicates_dataset, run_replicates
+from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING
+from pipeline.observe import GEOMETRY, SPREAD, STRESS, row_covariance, simulated_rows
+from pipeline.parameters import Parameters
+from pipeline.simulate import Setup
+
+log = logging.getLogger(__name__)
+
+REPLICATES = {"static": 20, "draw": 5}  # common random numbers of one evaluation
+SCAN = 24  # points of the scan that finds the start, for each parameter of a group,
+SCAN_REPLICATES = 2  # on the first few of the common random numbers
+Z90 = float(norm.ppf(0.95))
+CLOSE = 1e-3  # relative misfit below which a single target counts as reached
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How a parameter is searched: bounds of its value and the coordinate it is searched in."""
+
+    unit: str
+    low: float
+    high: float
+    forward: Callable[[float], float]
+    backward: Callable[[float], float]
+    targets: tuple[str, ...]
+    step: float = 1e-4  # of finite differences, in the coordinate
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Ends of the coordinate, increasing."""
+        return tuple(sorted((self.forward(self.low), self.forward(self.high))))
+
+
+def _log_shed(E: float) -> float:
+    return math.log1p(-E)
+
+
+def _from_log_shed(u: float) -> float:
+    return -math.expm1(u)
+
+
+def _same(value: float) -> float:
+    return value
+
+
+SCALES = {
+    "E": Scale("1", 1e-4, 1 - 1e-7, _log_shed, _from_log_shed, STRESS),
+    "E_min": Scale("1", -5.0, 5.0, _same, _same, STRESS),
+    "R": Scale("1", 0.0, 1.0, _same, _same, STRESS),
+    "s.std": Scale("1", 1e-2, 1e3, math.log, math.exp, SPREAD),
+    "s.mean": Scale("1", -100.0, 200.0, _same, _same, SPREAD),
+    "exponent": Scale("1", 0.1, 30.0, math.log, math.exp, GEOMETRY, 0.1),
+    "bulking": Scale("1", 1e-3, 0.9, math.log, math.exp, GEOMETRY, 0.1),
+}
+ALIASES = {"s": "s.std"}
+GROUPS = (GEOMETRY, STRESS, SPREAD)
+
+
+class _Model:
+    """Mean over common random numbers of the simulated rows, and their scatter."""
+
+    def __init__(self, setup, rows, execution):
+        self.setup, self.rows, self.execution = setup, rows, execution
+        self.count = REPLICATES["draw" if setup.masses else "static"]
+        self.simulated = 0  # replicates
+
+    def replicates(self, parameters: Parameters, count: int | None = None) -> np.ndarray:
+        """Simulated rows (replicate, row) of all common random numbers, or the first few."""
+        count = count or self.count
+        self.simulated += count
+        readings, _ = run_replicates(
+            self.setup,
+            parameters,
+            count,
+            self.execution,
+            (CALIBRATION_PACKING, CALIBRATION_FLOW),
+            fields=False,
+        )
+        dataset = replicates_dataset(self.setup, readings)
+        return simulated_rows(self.setup.experiment, dataset, self.rows)
+
+    def mean(self, parameters: Parameters, count: int | None = None) -> np.ndarray:
+        """Simulated rows (row)."""
+        return self.replicates(parameters, count).mean(axis=0)
+
+    def scatter(self, parameters: Parameters) -> np.ndarray:
+        """Covariance between rows (row, row) from replicate to replicate."""
+        return np.atleast_2d(np.cov(self.replicates(parameters), rowvar=False))
+
+
+def calibrate(
+    experiment: Experiment,
+    setup: Setup,
+    declared: Parameters,
+    rows: Sequence[MeasuredRow],
+    execution: Execution = Execution(),
+) -> dict:
+    """Fit the experiment's `calibrate` parameters to its measured rows.
+
+    Parameters
+    ----------
+    setup : made with `rows`; only their readings are simulated
+    declared : parameters to start from; the others keep these values
+
+    Returns
+    -------
+    dict, the content of `calibration.json`: for each parameter `value`, `interval_90`, `unit`,
+    `start`, `calibrated`, `at_bound` and `note`; `derived` has ℓ = c / (1 − E) and the Janssen K
+    that it implies; `targets` each row with its simulated value and whether it was reached;
+    `messages` what a reader must know; `parameters_used` all parameters of a run.
+    """
+    names = [ALIASES.get(name, name) for name in experiment.calibrate]
+    model = _Model(_only_measured(setup, rows), tuple(rows), execution)
+    parameters = declared
+    fitted: list[tuple[list[str], np.ndarray]] = []  # names and their rows, by group
+    idle = list(names)
+    for group in GROUPS:
+        members = [name for name in names if SCALES[name].targets == group]
+        targets = np.array([i for i, row in enumerate(rows) if row.quantity in group], dtype=int)
+        if members and len(targets):
+            fitted.append((members, targets))
+            idle = [name for name in idle if name not in members]
+    passes = 2 if setup.masses and len(fitted) > 1 else 1
+    for turn in range(passes):
+        for members, targets in fitted:
+            parameters = _fit(model, parameters, members, targets, scan=turn == 0)
+    return _document(experiment, model, declared, parameters, fitted, idle)
+
+
+def _fit(model, parameters, names, targets, scan):
+    """Least squares of one group on its rows, each difference over its standard deviation."""
+    scales = [SCALES[name] for name in names]
+    measured = np.array([model.rows[i].value for i in targets])
+    weight = 1.0 / np.array([model.rows[i].std for i in targets])
+    low, high = np.array([scale.bounds for scale in scales]).T
+
+    def at(u):
+        values = [scale.backward(x) for scale, x in zip(scales, u, strict=True)]
+        return parameters.with_values(dict(zip(names, values, strict=True)))
+
+    def residuals(u, count=None):
+        return (model.mean(at(u), count)[targets] - measured) * weight
+
+    start = np.array([s.forward(parameters.value(n)) for s, n in zip(scales, names, strict=True)])
+    start = np.clip(start, low, high)
+    if scan:
+        points = qmc.Sobol(len(names), scramble=False).random_base2(
+            math.ceil(math.log2(SCAN * len(names)))
+        )
+        starts = [start, *qmc.scale(points[1:], low, high)]
+        start = min(starts, key=lambda u: np.sum(residuals(u, SCAN_REPLICATES) ** 2))
+    solution = least_squares(
+        residuals,
+        np.clip(start, low + 1e-9, high - 1e-9),
+        jac=lambda u: _differences(residuals, u, [scale.step for scale in scales], low, high),
+        bounds=(low, high),
+        xtol=1e-8,
+        ftol=1e-10,
+        gtol=1e-10,
+        max_nfev=40,
+    )
+    log.info("%s: %s fitted", model.setup.experiment.name, ", ".join(names))
+    return at(solution.x)
+
+
+def _differences(function, u, steps, low, high):
+    """Jacobian (value, coordinate) by central differences, one-sided at a bound."""
+    columns = []
+    for i, step in enumerate(steps):
+        ends = np.repeat(u[None], 2, axis=0)
+        ends[:, i] = np.clip([u[i] - step, u[i] + step], low[i], high[i])
+        columns.append((function(ends[1]) - function(ends[0])) / (ends[1, i] - ends[0, i]))
+    return np.column_stack(columns)
+
+
+def _only_measured(setup: Setup, rows: Sequence[MeasuredRow]) -> Setup:
+    """The setup read at nothing but what the rows need (and before draw, for ratios)."""
+    height = setup.experiment.geometry.height
+    levels = {height if row.fill_height is None else row.fill_height for row in rows}
+    masses = {0.0} | {row.mass_drawn for row in rows if row.mass_drawn is not None}
+    return replace(
+        setup,
+        fill_levels=tuple(h for h in setup.fill_levels if _near(h, levels)),
+        masses=tuple(m for m in setup.masses if _near(m, masses)),
+    )
+
+
+def _near(value: float, wanted: set[float]) -> bool:
+    return any(math.isclose(value, other, rel_tol=1e-8) for other in wanted)
+
+
+def _uncertainty(model, parameters, fitted) -> tuple[list[str], np.ndarray]:
+    """Names and covariance of the fitted coordinates.
+
+    Each group solves its own normal equations; the sandwich carries the errors of its rows and,
+    through the other groups' parameters, of theirs. Row errors: `row_covariance` plus the error
+    of a mean over the common random numbers.
+    """
+    names = [name for members, _ in fitted for name in members]
+    if not names:
+        return [], np.zeros((0, 0))
+    scales = [SCALES[name] for name in names]
+
+    def at(u):
+        values = [scale.backward(x) for scale, x in zip(scales, u, strict=True)]
+        return model.mean(parameters.with_values(dict(zip(names, values, strict=True))))
+
+    u = np.array([s.forward(parameters.value(n)) for s, n in zip(scales, names, strict=True)])
+    low, high = np.array([scale.bounds for scale in scales]).T
+    jacobian = _differences(at, u, [max(scale.step, 1e-2) for scale in scales], low, high)
+    scatter = model.scatter(parameters)
+    errors = row_covariance(model.rows, scatter) + scatter / model.count
+    bread, filling = np.zeros((len(names), len(names))), np.zeros((len(names), len(model.rows)))
+    for members, targets in fitted:
+        own = [names.index(name) for name in members]
+        weight = np.array([model.rows[i].std for i in targets]) ** -2.0
+        weighted = jacobian[np.ix_(targets, own)].T * weight
+        bread[own] = weighted @ jacobian[targets]
+        filling[np.ix_(own, targets)] = weighted
+    inverse = np.linalg.pinv(bread)
+    return names, inverse @ filling @ errors @ filling.T @ inverse.T
+
+
+def _document(experiment, model, declared, parameters, fitted, idle):
+    names, covariance = _uncertainty(model, parameters, fitted)
+    messages: list[str] = []
+    entries = {}
+    for name, scale in SCALES.items():
+        if parameters.value(name) is None or (name == "E_min" and parameters.E_min is None):
+            continue
+        value = parameters.value(name)
+        entry = {
+            "value": value,
+            "interval_90": None,
+            "unit": scale.unit,
+            "start": declared.value(name),
+            "calibrated": name in names,
+            "at_bound": False,
+        }
+        if name in names:
+            u = scale.forward(value)
+            half = Z90 * math.sqrt(covariance[names.index(name), names.index(name)])
+            low, high = scale.bounds
+            ends = [scale.backward(x) for x in np.clip([u - half, u + half], low, high)]
+            entry["interval_90"] = sorted(ends)
+            entry["interval_open"] = bool(u - half < low or u + half > high)
+            entry["at_bound"] = bool(min(u - low, high - u) < 1e-3 * (high - low))
+            if entry["at_bound"]:
+                messages.append(f"{name} = {value:.4g} lies at the end of its range: not a fit")
+        if name in idle:
+            wanted = ", ".join(scale.targets)
+            messages.append(f"{name} keeps its start: no measured {wanted} to fit it to")
+        entries[name] = entry
+    targets = _targets(model, parameters, fitted, messages)
+    return {
+        "experiment": experiment.name,
+        "schema_version": "1.0",
+        "data_label": experiment.data_label,
+        "objective": "eq 6: sum of squared differences, each over its standard deviation",
+        "parameters": entries,
+        "derived": _derived(experiment, parameters, entries.get("E")),
+        "correlation": _correlation(names, covariance),
+        "targets": targets,
+        "messages": messages,
+        "common_random_replicates": model.count,
+        "simulated_replicates": model.simulated,
+        "declared": declared.to_document(),
+        "parameters_used": parameters.to_document(),
+    }
+
+
+def _correlation(names, covariance):
+    sd = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        matrix = covariance / np.outer(sd, sd)
+    return {"parameters": names, "matrix": matrix.tolist()}
+
+
+def _targets(model, parameters, fitted, messages):
+    """Each fitted row beside its simulated value; a lone target out of reach is said so."""
+    simulated = model.mean(parameters) if fitted else np.zeros(0)
+    error = (
+        np.sqrt(np.diag(model.scatter(parameters)) / model.count) if fitted else np.zeros(0)
+    )
+    targets = []
+    for members, indices in fitted:
+        exact = len(indices) <= len(members)
+        for i in indices:
+            row, value = model.rows[i], float(simulated[i])
+            reached = abs(value - row.value) <= CLOSE * abs(row.value) if exact else None
+            target = {
+                "quantity": row.quantity,
+                "load_cell": row.load_cell,
+                "fill_height": row.fill_height,
+                "mass_drawn": row.mass_drawn,
+                "measured": row.value,
+                "std": row.std,
+                "simulated": value,
+                "simulated_standard_error": float(error[i]),
+                "fitted_by": members,
+                "reached": reached,
+            }
+            if reached is False:
+                limit = "ceiling" if value < row.value else "floor"
+                target[limit] = value
+                messages.append(_out_of_reach(model, parameters, members, row, value, limit))
+            targets.append(target)
+    return targets
+
+
+def _out_of_reach(model, parameters, members, row, value, limit):
+    text = (
+        f"measured {row.quantity} {row.value:.4g} is out of reach of {', '.join(members)}: "
+        f"the {limit} is {value:.4g}"
+    )
+    if row.quantity in SPREAD:
+        means = [r.value for r in model.rows if r.quantity == "vertical_stress"]
+        if len(means) == 1:
+            text += f", {value / means[0]:.2f} of the mean (measured: {row.value / means[0]:.2f})"
+    return text
+
+
+def _derived(experiment: Experiment, parameters: Parameters, entry: dict) -> dict:
+    """ℓ = c / (1 − E) and, with a wall friction angle, K = R_h / (ℓ tan φ_w) (Janssen)."""
+    interval = entry["interval_90"]
+
+    def length(E: float) -> float:
+        return math.inf if E >= 1.0 else parameters.cell_size / (1.0 - E)
+
+    derived = {
+        "attenuation_length": {
+            "value": length(entry["value"]),
+            "interval_90": [length(E) for E in interval] if interval else None,
+            "unit": "m",
+        },
+        "hydraulic_radius": {"value": hydraulic_radius(experiment), "unit": "m"},
+    }
+    if experiment.walls is not None and experiment.walls.friction_angle > 0:
+        per_length = hydraulic_radius(experiment) / math.tan(
+            math.radians(experiment.walls.friction_angle)
+        )
+        derived["janssen_K"] = {
+            "value": per_length / length(entry["value"]),
+            "interval_90": sorted(per_length / length(E) for E in interval) if interval else None,
+            "unit": "1",
+        }
+    return derived
+
+
+def hydraulic_radius(experiment: Experiment) -> float:
+    """Area over perimeter of the declared base, m."""
+    g = experiment.geometry
+    if g.diameter is not None:
+        return g.diameter / 4.0
+    return g.width * g.length / (2.0 * (g.width + g.length))

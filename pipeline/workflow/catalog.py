@@ -1,0 +1,112 @@
+"""What the Snakefile knows: settings, experiments, and what a rule's result depends on."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+
+from pipeline.config.experiment import Experiment
+from pipeline.config.load import check_measured, digest, load_experiments
+
+PACKAGE = Path(__file__).parents[1]
+SMALL_RUN = 2e7  # cell sweeps that one thread does in a moment
+
+
+class Catalog:
+    """The experiments of a workflow run, read and checked once.
+
+    Raises
+    ------
+    ConfigError
+        With every problem of every file.
+    """
+
+    def __init__(self, config: Mapping[str, object]):
+        self.results = str(config["results_dir"]).rstrip("/")
+        self.experiments = load_experiments(Path(str(config["experiments_dir"])))
+
+    def experiment(self, name: str) -> Experiment:
+        """The experiment of that name."""
+        return self.experiments[name]
+
+    def file(self, name: str) -> str:
+        """Path of the experiment's file."""
+        return str(self.experiments[name].path)
+
+    def settings(self, name: str) -> str:
+        """Digest of everything that the experiment's own files say: YAML, rows and mask."""
+        experiment = self.experiments[name]
+        parts = [digest(experiment), repr([_said(row) for row in check_measured(experiment)])]
+        if experiment.mask_path is not None:
+            parts.append(hashlib.sha256(experiment.mask_path.read_bytes()).hexdigest())
+        return _sha256("".join(parts))
+
+    def source_calibration(self, name: str) -> list[str]:
+        """`calibration.json` of the experiment that `stress: {from: NAME}` refers to, if any."""
+        source = self.experiments[name].stress.from_
+        return [f"{self.results}/experiments/{source}/calibration.json"] if source else []
+
+    def threads(self, name: str, cores: int) -> int:
+        """One thread for a small experiment, all cores for a large one."""
+        experiment = self.experiments[name]
+        g = experiment.geometry
+        cells = g.width * g.length * g.height / g.cell_size**3
+        readings = 1
+        if experiment.is_draw and experiment.readings.every:
+            readings = experiment.mass_scheduled / experiment.readings.every
+        return cores if cells * readings * experiment.replicates > SMALL_RUN else 1
+
+
+def _said(row) -> tuple:
+    """A measured row without its place in the file."""
+    return tuple(value for key, value in vars(row).items() if key != "line")
+
+
+@cache
+def source_digest(script: str) -> str:
+    """Digest of the code that a rule's script runs: itself and all of `pipeline` it imports.
+
+    Comments and layout do not count; data files beside a module do.
+    """
+    seen: dict[Path, str] = {}
+    _collect(PACKAGE / "workflow" / "scripts" / f"{script}.py", seen)
+    return _sha256("".join(f"{path.name}{seen[path]}" for path in sorted(seen)))
+
+
+def _collect(path: Path, seen: dict[Path, str]) -> None:
+    if path in seen:
+        return
+    tree = ast.parse(path.read_text("utf-8"))
+    seen[path] = _sha256(ast.dump(tree))
+    for data in path.parent.iterdir():
+        if data.is_file() and data.suffix not in (".py", ".pyc", ".smk"):
+            seen[data] = hashlib.sha256(data.read_bytes()).hexdigest()
+    for node in ast.walk(tree):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        for name in names:
+            target = _path_of(name)
+            if target is not None:
+                _collect(target, seen)
+
+
+def _path_of(module: str) -> Path | None:
+    """Source file of a module of this package; None for anything else."""
+    head, *rest = module.split(".")
+    if head != PACKAGE.name:
+        return None
+    path = PACKAGE.joinpath(*rest)
+    for candidate in (path.with_suffix(".py"), path / "__init__.py"):
+        if candidate.is_file():
+            return candidate
+    return None
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

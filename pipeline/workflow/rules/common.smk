@@ -1,0 +1,14 @@
+from snakemake.exceptions import WorkflowError
+
+from pipeline.config.messages import ConfigError
+from pipeline.workflow.catalog import Catalog, source_digest
+
+try:
+    CATALOG = Catalog(config)
+except ConfigError as error:
+    raise WorkflowError(str(error)) from None
+RESULTS = CATALOG.results
+
+
+wildcard_constraints:
+    experiment="|".join(CATALOG.experiments),

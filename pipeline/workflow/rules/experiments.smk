@@ -1,0 +1,114 @@
+# An experiment from its file to its report.
+
+rule block_model:
+    output:
+        block_model=RESULTS + "/experiments/{experiment}/block_model.nc",
+    log:
+        RESULTS + "/logs/experiments/{experiment}/block_model.log",
+    params:
+        file=lambda w: CATALOG.file(w.experiment),
+        settings=lambda w: CATALOG.settings(w.experiment),
+        code=source_digest("block_model"),
+    message:
+        "{wildcards.experiment}: block model"
+    script:
+        "../scripts/block_model.py"
+
+
+rule calibrate:
+    input:
+        block_model=rules.block_model.output.block_model,
+        sources=lambda w: CATALOG.source_calibration(w.experiment),
+    output:
+        calibration=RESULTS + "/experiments/{experiment}/calibration.json",
+    log:
+        RESULTS + "/logs/experiments/{experiment}/calibrate.log",
+    threads: lambda w: CATALOG.threads(w.experiment, workflow.cores)
+    params:
+        file=lambda w: CATALOG.file(w.experiment),
+        settings=lambda w: CATALOG.settings(w.experiment),
+        code=source_digest("calibrate"),
+        scheduler=config["dask_scheduler"],
+    message:
+        "{wildcards.experiment}: calibration"
+    script:
+        "../scripts/calibrate.py"
+
+
+rule replicates:
+    input:
+        block_model=rules.block_model.output.block_model,
+        calibration=rules.calibrate.output.calibration,
+    output:
+        replicates=RESULTS + "/experiments/{experiment}/replicates.nc",
+        fields=RESULTS + "/experiments/{experiment}/fields.nc",
+    log:
+        RESULTS + "/logs/experiments/{experiment}/replicates.log",
+    threads: lambda w: CATALOG.threads(w.experiment, workflow.cores)
+    params:
+        file=lambda w: CATALOG.file(w.experiment),
+        settings=lambda w: CATALOG.settings(w.experiment),
+        code=source_digest("replicates"),
+        scheduler=config["dask_scheduler"],
+    message:
+        "{wildcards.experiment}: replicates"
+    script:
+        "../scripts/replicates.py"
+
+
+rule aggregate:
+    input:
+        replicates=rules.replicates.output.replicates,
+    output:
+        statistics=RESULTS + "/experiments/{experiment}/statistics.nc",
+    log:
+        RESULTS + "/logs/experiments/{experiment}/aggregate.log",
+    params:
+        file=lambda w: CATALOG.file(w.experiment),
+        settings=lambda w: CATALOG.settings(w.experiment),
+        code=source_digest("aggregate"),
+    message:
+        "{wildcards.experiment}: statistics"
+    script:
+        "../scripts/aggregate.py"
+
+
+rule validate:
+    input:
+        replicates=rules.replicates.output.replicates,
+        calibration=rules.calibrate.output.calibration,
+    output:
+        validation=RESULTS + "/experiments/{experiment}/validation.json",
+    log:
+        RESULTS + "/logs/experiments/{experiment}/validate.log",
+    params:
+        file=lambda w: CATALOG.file(w.experiment),
+        settings=lambda w: CATALOG.settings(w.experiment),
+        code=source_digest("validate"),
+    message:
+        "{wildcards.experiment}: validation"
+    script:
+        "../scripts/validate.py"
+
+
+rule report:
+    input:
+        block_model=rules.block_model.output.block_model,
+        calibration=rules.calibrate.output.calibration,
+        replicates=rules.replicates.output.replicates,
+        fields=rules.replicates.output.fields,
+        statistics=rules.aggregate.output.statistics,
+        validation=rules.validate.output.validation,
+    output:
+        report=RESULTS + "/experiments/{experiment}/report.html",
+        data=RESULTS + "/experiments/{experiment}/report_data.csv",
+    log:
+        RESULTS + "/logs/experiments/{experiment}/report.log",
+    params:
+        file=lambda w: CATALOG.file(w.experiment),
+        settings=lambda w: CATALOG.settings(w.experiment),
+        code=source_digest("report"),
+    message:
+        "{wildcards.experiment}: report"
+    script:
+        "../scripts/report.py"
