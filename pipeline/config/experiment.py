@@ -635,7 +635,7 @@ class Experiment(Strict):
     """Number of replicates."""
     seed: whole("a whole number from 0 to 2^63 - 1", ge=0, le=2**63 - 1) = 0
     """Root of all random numbers of this experiment."""
-    measured: Annotated[str, Field(pattern=r"(?i)\.(csv|nc)$")] | None = None
+    measured: Annotated[str, Field(pattern=r"\.(csv|nc)$")] | None = None
     """Table of measured values (.csv or .nc), relative to this file."""
     data_label: DataLabel = "measured"
     """What the values in ``measured`` are; shown wherever they are."""

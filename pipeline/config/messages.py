@@ -251,7 +251,8 @@ def _translate(model: type[BaseModel], detail: Mapping, raw: Any) -> Iterator[Fo
         case "string_pattern_mismatch" if detail["ctx"]["pattern"] == NAME_PATTERN:
             yield location, "expected letters, digits, _ and -"
         case "list_type" | "tuple_type":
-            yield location, "expected a list; write [] when there is none"
+            remedy = "write [] when there is none" if detail["input"] is None else "put it in [ ]"
+            yield location, f"expected a list; {remedy}"
         case "too_short":
             if not detail["input"]:  # otherwise an entry was bad, and is reported itself
                 yield location, "expected a list with at least one entry"

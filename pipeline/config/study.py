@@ -70,7 +70,7 @@ class Shared(Strict):
 class Data(Strict):
     """Measured rows in place of the experiments' own."""
 
-    file: Annotated[str, Field(pattern=r"(?i)\.(csv|nc)$")]
+    file: Annotated[str, Field(pattern=r"\.(csv|nc)$")]
     """Table of values (.csv or .nc), relative to this file."""
     label: DataLabel
     """What the values are; shown wherever they are."""

@@ -35,7 +35,7 @@ def draw_to(
     climbing void is then a ``VOID`` without identity.
     """
     rows = slice(*state.opening_offsets[drawpoint : drawpoint + 2])
-    opening = [tuple(place) for place in state.opening_cells[rows]]
+    opening = [tuple(place) for place in state.opening_cells[rows].tolist()]
     while True:
         drawn = state.counters[DRAWN_CELLS]
         mass = state.drawn_mass[drawn - 1] if drawn else 0.0
@@ -66,17 +66,14 @@ def draw_to(
 
 def _climb(state, place, drawpoint, exponent, bulking, rng, after_step):
     while True:
-        above = [
-            (place, math.sqrt(1 + abs(dy) + abs(dx)))
-            for place, dy, dx in _nine_above(place, state.code.shape)
-        ]
+        above = list(_around(place, (1,), state.code.shape))
         candidates = [
-            (near, (1 / distance) ** exponent)
-            for near, distance in above
+            (near, (1 / _distance(place, near)) ** exponent)
+            for near in above
             if state.code[near] in (STAGNANT, MOVEMENT)
         ]
         if not candidates:
-            codes = [state.code[near] for near, _ in above]
+            codes = [state.code[near] for near in above]
             if AIR in codes or VOID not in codes:
                 state.code[place] = AIR
             else:
@@ -105,19 +102,21 @@ def _climb(state, place, drawpoint, exponent, bulking, rng, after_step):
         after_step(state)
         place = chosen
         if first_loosened:
-            parks = bulking == 1 if bulking in (0, 1) else rng.random() < bulking
-            if parks:
+            if bulking == 1 or (bulking != 0 and rng.random() < bulking):
                 state.counters[PARKED_VOIDS] += 1
                 return
 
 
-def _nine_above(place, shape):
-    """The places above, at most nine, in array order, each with its offset in y and x."""
+def _around(place, levels, shape):
+    """The nine places around one, inside the lattice, at each of some levels relative to it."""
     k, j, i = place
-    for dy, dx in product((-1, 0, 1), repeat=2):
-        above = (k + 1, j + dy, i + dx)
-        if above[0] < shape[0] and 0 <= above[1] < shape[1] and 0 <= above[2] < shape[2]:
-            yield above, dy, dx
+    for dk, dy, dx in product(levels, (-1, 0, 1), (-1, 0, 1)):
+        if 0 <= k + dk < shape[0] and 0 <= j + dy < shape[1] and 0 <= i + dx < shape[2]:
+            yield k + dk, j + dy, i + dx
+
+
+def _distance(place, other):
+    return math.sqrt(sum((a - b) ** 2 for a, b in zip(place, other, strict=True)))
 
 
 def _survey_zones(state, met):
@@ -125,15 +124,14 @@ def _survey_zones(state, met):
 
     Zones stay connected once they are; ``met`` are two labels that a void has just connected.
     """
-    loosened = [tuple(place) for place in np.argwhere(state.zone >= 0)]
+    loosened = np.argwhere(state.zone >= 0).tolist()
     contacts = {met, *enumerate(state.zone_root)}
-    for place in loosened:
-        label = state.zone[place]
-        state.level_min_x[label, place[0]] = min(state.level_min_x[label, place[0]], place[2])
-        state.level_max_x[label, place[0]] = max(state.level_max_x[label, place[0]], place[2])
-        for step in product((-1, 0, 1), repeat=3):
-            near = tuple(np.add(place, step))
-            if min(near) >= 0 and np.less(near, state.zone.shape).all() and state.zone[near] >= 0:
+    for k, j, i in loosened:
+        label = state.zone[k, j, i]
+        state.level_min_x[label, k] = min(state.level_min_x[label, k], i)
+        state.level_max_x[label, k] = max(state.level_max_x[label, k], i)
+        for near in _around((k, j, i), (-1, 0, 1), state.zone.shape):
+            if state.zone[near] >= 0:
                 contacts.add((label, state.zone[near]))
     for _ in range(len(state.zone_root)):
         for one, other in contacts:

@@ -288,7 +288,7 @@ def valid_experiments(draw) -> dict:
 
 
 in_one_folder = settings(
-    deadline=None, max_examples=2000, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 
