@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from pipeline.config.experiment import Experiment
-from pipeline.files.measured import MeasuredRow
+from pipeline.config.measured import MeasuredRow
 from pipeline.simulate import load_cells
 
 STRESS = ("vertical_stress", "vertical_stress_ratio")

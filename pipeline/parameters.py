@@ -44,11 +44,14 @@ class Parameters:
     def shed_in_zone(self, height: np.ndarray) -> np.ndarray:
         """1 − E_min for movement zones of the given heights (m), never above 1.
 
-        The table is linear between its heights and constant beyond them. The power law is
-        Janssen's length of a zone whose hydraulic radius grows as height^exponent:
-        1 − E_min(h) = (1 − E_min(h0)) (h / h0)^(−exponent), but never less than 1 − E.
+        Without a law the movement zone transmits like stagnant ground. The table is linear
+        between its heights and constant beyond them. The power law is Janssen's length of a zone
+        whose hydraulic radius grows as height^exponent: 1 − E_min(h) =
+        (1 − E_min(h0)) (h / h0)^(−exponent), but never less than 1 − E.
         """
         height = np.asarray(height, dtype=np.float64)
+        if self.E_min is None:
+            return np.full(height.shape, 1.0 - self.E)
         factor = math.exp(self.E_min_shift)
         if isinstance(self.E_min, EMinTable):
             return np.minimum(

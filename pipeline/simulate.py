@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from pipeline.config.experiment import Experiment, LoadCell
-from pipeline.files.measured import MeasuredRow, fill_levels, reading_masses
+from pipeline.config.measured import MeasuredRow, fill_levels, reading_masses
 from pipeline.lattice.block_model import cell_codes, lattice_of
 from pipeline.lattice.cells import OUTSIDE, STAGNANT
 from pipeline.lattice.flow import (
@@ -48,6 +48,7 @@ class Setup:
     fill_levels : m, one for each time of a static experiment; empty in a draw experiment
     masses : kg drawn at each time of a draw experiment; empty in a static one
     openings : base cells (n, 3) of each drawpoint, as (z, y, x) indices
+    to_the_end : whether draw goes on after the last reading, to the schedule's end
     """
 
     experiment: Experiment
@@ -59,6 +60,7 @@ class Setup:
     fill_levels: tuple[float, ...]
     masses: tuple[float, ...]
     openings: tuple[np.ndarray, ...]
+    to_the_end: bool = True
 
     @property
     def times(self) -> int:
@@ -267,6 +269,8 @@ def _draw(
             draw_to(state, cell_mass, drawpoint, setup.masses[t] - missing, *arguments)
             yield t
             t += 1
+        if t == setup.times and not setup.to_the_end:
+            return
         short = draw_to(state, cell_mass, drawpoint, end - missing, *arguments)
         shortfall[drawpoint] += short
         missing += short

@@ -13,11 +13,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 from scipy.stats import norm, qmc
 
 from pipeline.config.experiment import Experiment
-from pipeline.files.measured import MeasuredRow
+from pipeline.config.measured import MeasuredRow
 from pipeline.montecarlo.replicates import Execution, replicates_dataset, run_replicates
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING
 from pipeline.observe import GEOMETRY, SPREAD, STRESS, row_covariance, simulated_rows
@@ -30,6 +30,7 @@ REPLICATES = {"static": 20, "draw": 5}  # common random numbers of one evaluatio
 SCAN = 24  # points of the scan that finds the start, for each parameter of a group,
 SCAN_REPLICATES = 2  # on the first few of the common random numbers
 Z90 = float(norm.ppf(0.95))
+NOT_SEPARATED = 0.9  # correlation from which two parameters count as not separated
 CLOSE = 1e-3  # relative misfit below which a single target counts as reached
 
 
@@ -77,17 +78,26 @@ GROUPS = (GEOMETRY, STRESS, SPREAD)
 
 
 class _Model:
-    """Mean over common random numbers of the simulated rows, and their scatter."""
+    """Mean over common random numbers of simulated rows, and their scatter.
+
+    `of(targets)` is the same for some of the rows: only their readings are simulated.
+    """
 
     def __init__(self, setup, rows, execution):
-        self.setup, self.rows, self.execution = setup, rows, execution
+        self.setup = _only_measured(setup, rows)
+        self.rows, self.execution = tuple(rows), execution
         self.count = REPLICATES["draw" if setup.masses else "static"]
-        self.simulated = 0  # replicates
+        self.simulated = [0]  # replicates, shared with the parts
+
+    def of(self, targets: Sequence[int]) -> _Model:
+        part = _Model(self.setup, [self.rows[i] for i in targets], self.execution)
+        part.simulated = self.simulated
+        return part
 
     def replicates(self, parameters: Parameters, count: int | None = None) -> np.ndarray:
-        """Simulated rows (replicate, row) of all common random numbers, or the first few."""
+        """Rows (replicate, row) of all common random numbers, or of the first `count`."""
         count = count or self.count
-        self.simulated += count
+        self.simulated[0] += count
         readings, _ = run_replicates(
             self.setup,
             parameters,
@@ -100,12 +110,8 @@ class _Model:
         return simulated_rows(self.setup.experiment, dataset, self.rows)
 
     def mean(self, parameters: Parameters, count: int | None = None) -> np.ndarray:
-        """Simulated rows (row)."""
+        """Rows (row)."""
         return self.replicates(parameters, count).mean(axis=0)
-
-    def scatter(self, parameters: Parameters) -> np.ndarray:
-        """Covariance between rows (row, row) from replicate to replicate."""
-        return np.atleast_2d(np.cov(self.replicates(parameters), rowvar=False))
 
 
 def calibrate(
@@ -130,7 +136,7 @@ def calibrate(
     `messages` what a reader must know; `parameters_used` all parameters of a run.
     """
     names = [ALIASES.get(name, name) for name in experiment.calibrate]
-    model = _Model(_only_measured(setup, rows), tuple(rows), execution)
+    model = _Model(setup, rows, execution)
     parameters = declared
     fitted: list[tuple[list[str], np.ndarray]] = []  # names and their rows, by group
     idle = list(names)
@@ -143,15 +149,15 @@ def calibrate(
     passes = 2 if setup.masses and len(fitted) > 1 else 1
     for turn in range(passes):
         for members, targets in fitted:
-            parameters = _fit(model, parameters, members, targets, scan=turn == 0)
+            parameters = _fit(model.of(targets), parameters, members, scan=turn == 0)
     return _document(experiment, model, declared, parameters, fitted, idle)
 
 
-def _fit(model, parameters, names, targets, scan):
-    """Least squares of one group on its rows, each difference over its standard deviation."""
+def _fit(model: _Model, parameters: Parameters, names: list[str], scan: bool) -> Parameters:
+    """Least squares of a group on all rows of `model`, each over its standard deviation."""
     scales = [SCALES[name] for name in names]
-    measured = np.array([model.rows[i].value for i in targets])
-    weight = 1.0 / np.array([model.rows[i].std for i in targets])
+    measured = np.array([row.value for row in model.rows])
+    weight = 1.0 / np.array([row.std for row in model.rows])
     low, high = np.array([scale.bounds for scale in scales]).T
 
     def at(u):
@@ -159,26 +165,36 @@ def _fit(model, parameters, names, targets, scan):
         return parameters.with_values(dict(zip(names, values, strict=True)))
 
     def residuals(u, count=None):
-        return (model.mean(at(u), count)[targets] - measured) * weight
+        return (model.mean(at(u), count) - measured) * weight
 
     start = np.array([s.forward(parameters.value(n)) for s, n in zip(scales, names, strict=True)])
-    start = np.clip(start, low, high)
+    start = np.clip(start, low + 1e-9, high - 1e-9)
     if scan:
         points = qmc.Sobol(len(names), scramble=False).random_base2(
             math.ceil(math.log2(SCAN * len(names)))
         )
         starts = [start, *qmc.scale(points[1:], low, high)]
         start = min(starts, key=lambda u: np.sum(residuals(u, SCAN_REPLICATES) ** 2))
-    solution = least_squares(
-        residuals,
-        np.clip(start, low + 1e-9, high - 1e-9),
-        jac=lambda u: _differences(residuals, u, [scale.step for scale in scales], low, high),
-        bounds=(low, high),
-        xtol=1e-8,
-        ftol=1e-10,
-        gtol=1e-10,
-        max_nfev=40,
-    )
+    if scales[0].targets == GEOMETRY:  # whole cells: the sum of squares has steps
+        solution = minimize(
+            lambda u: np.sum(residuals(u) ** 2),
+            start,
+            method="Nelder-Mead",
+            bounds=list(zip(low, high, strict=True)),
+            options={"xatol": 0.02, "fatol": 1e-3, "maxfev": 60 * len(names)},
+        )
+    else:
+        steps = [scale.step for scale in scales]
+        solution = least_squares(
+            residuals,
+            start,
+            jac=lambda u: _differences(residuals, u, steps, low, high),
+            bounds=(low, high),
+            xtol=1e-8,
+            ftol=1e-10,
+            gtol=1e-10,
+            max_nfev=40,
+        )
     log.info("%s: %s fitted", model.setup.experiment.name, ", ".join(names))
     return at(solution.x)
 
@@ -200,6 +216,7 @@ def _only_measured(setup: Setup, rows: Sequence[MeasuredRow]) -> Setup:
     masses = {0.0} | {row.mass_drawn for row in rows if row.mass_drawn is not None}
     return replace(
         setup,
+        to_the_end=False,
         fill_levels=tuple(h for h in setup.fill_levels if _near(h, levels)),
         masses=tuple(m for m in setup.masses if _near(m, masses)),
     )
@@ -209,7 +226,7 @@ def _near(value: float, wanted: set[float]) -> bool:
     return any(math.isclose(value, other, rel_tol=1e-8) for other in wanted)
 
 
-def _uncertainty(model, parameters, fitted) -> tuple[list[str], np.ndarray]:
+def _uncertainty(model, parameters, scatter, fitted) -> tuple[list[str], np.ndarray]:
     """Names and covariance of the fitted coordinates.
 
     Each group solves its own normal equations; the sandwich carries the errors of its rows and,
@@ -227,8 +244,7 @@ def _uncertainty(model, parameters, fitted) -> tuple[list[str], np.ndarray]:
 
     u = np.array([s.forward(parameters.value(n)) for s, n in zip(scales, names, strict=True)])
     low, high = np.array([scale.bounds for scale in scales]).T
-    jacobian = _differences(at, u, [max(scale.step, 1e-2) for scale in scales], low, high)
-    scatter = model.scatter(parameters)
+    jacobian = _differences(at, u, [max(3 * scale.step, 1e-2) for scale in scales], low, high)
     errors = row_covariance(model.rows, scatter) + scatter / model.count
     bread, filling = np.zeros((len(names), len(names))), np.zeros((len(names), len(model.rows)))
     for members, targets in fitted:
@@ -242,7 +258,12 @@ def _uncertainty(model, parameters, fitted) -> tuple[list[str], np.ndarray]:
 
 
 def _document(experiment, model, declared, parameters, fitted, idle):
-    names, covariance = _uncertainty(model, parameters, fitted)
+    simulated, scatter = np.zeros(0), np.zeros((0, 0))
+    if fitted:
+        replicates = model.replicates(parameters)
+        simulated = replicates.mean(axis=0)
+        scatter = np.atleast_2d(np.cov(replicates, rowvar=False))
+    names, covariance = _uncertainty(model, parameters, scatter, fitted)
     messages: list[str] = []
     entries = {}
     for name, scale in SCALES.items():
@@ -265,13 +286,17 @@ def _document(experiment, model, declared, parameters, fitted, idle):
             entry["interval_90"] = sorted(ends)
             entry["interval_open"] = bool(u - half < low or u + half > high)
             entry["at_bound"] = bool(min(u - low, high - u) < 1e-3 * (high - low))
+            if entry["interval_open"] and not entry["at_bound"]:
+                messages.append(f"{name}: its 90 % interval is open, the data do not bound it")
             if entry["at_bound"]:
                 messages.append(f"{name} = {value:.4g} lies at the end of its range: not a fit")
         if name in idle:
             wanted = ", ".join(scale.targets)
             messages.append(f"{name} keeps its start: no measured {wanted} to fit it to")
         entries[name] = entry
-    targets = _targets(model, parameters, fitted, messages)
+    messages += _not_separated(names, covariance)
+    standard_error = np.sqrt(np.diag(scatter) / model.count)
+    targets = _targets(model, simulated, standard_error, fitted, messages)
     return {
         "experiment": experiment.name,
         "schema_version": "1.0",
@@ -279,29 +304,34 @@ def _document(experiment, model, declared, parameters, fitted, idle):
         "objective": "eq 6: sum of squared differences, each over its standard deviation",
         "parameters": entries,
         "derived": _derived(experiment, parameters, entries.get("E")),
-        "correlation": _correlation(names, covariance),
+        "correlation": {"parameters": names, "matrix": _correlation(covariance).tolist()},
         "targets": targets,
         "messages": messages,
         "common_random_replicates": model.count,
-        "simulated_replicates": model.simulated,
+        "simulated_replicates": model.simulated[0],
         "declared": declared.to_document(),
         "parameters_used": parameters.to_document(),
     }
 
 
-def _correlation(names, covariance):
+def _correlation(covariance: np.ndarray) -> np.ndarray:
     sd = np.sqrt(np.diag(covariance))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        matrix = covariance / np.outer(sd, sd)
-    return {"parameters": names, "matrix": matrix.tolist()}
+    return covariance / np.maximum(np.outer(sd, sd), np.finfo(float).tiny)
 
 
-def _targets(model, parameters, fitted, messages):
+def _not_separated(names: list[str], covariance: np.ndarray) -> list[str]:
+    """What the data cannot tell apart: pairs of parameters that trade for each other."""
+    correlation = _correlation(covariance)
+    return [
+        f"the data hardly separate {names[i]} and {names[j]}: correlation {correlation[i, j]:+.2f}"
+        for i in range(len(names))
+        for j in range(i)
+        if abs(correlation[i, j]) > NOT_SEPARATED
+    ]
+
+
+def _targets(model, simulated, standard_error, fitted, messages):
     """Each fitted row beside its simulated value; a lone target out of reach is said so."""
-    simulated = model.mean(parameters) if fitted else np.zeros(0)
-    error = (
-        np.sqrt(np.diag(model.scatter(parameters)) / model.count) if fitted else np.zeros(0)
-    )
     targets = []
     for members, indices in fitted:
         exact = len(indices) <= len(members)
@@ -316,19 +346,19 @@ def _targets(model, parameters, fitted, messages):
                 "measured": row.value,
                 "std": row.std,
                 "simulated": value,
-                "simulated_standard_error": float(error[i]),
+                "simulated_standard_error": float(standard_error[i]),
                 "fitted_by": members,
                 "reached": reached,
             }
             if reached is False:
                 limit = "ceiling" if value < row.value else "floor"
                 target[limit] = value
-                messages.append(_out_of_reach(model, parameters, members, row, value, limit))
+                messages.append(_out_of_reach(model, members, row, value, limit))
             targets.append(target)
     return targets
 
 
-def _out_of_reach(model, parameters, members, row, value, limit):
+def _out_of_reach(model, members, row, value, limit):
     text = (
         f"measured {row.quantity} {row.value:.4g} is out of reach of {', '.join(members)}: "
         f"the {limit} is {value:.4g}"

@@ -24,7 +24,7 @@ from pydantic import (
 from pipeline.config.messages import (
     NAME_PATTERN,
     Found,
-    Inconsistent,
+    InconsistentError,
     did_you_mean,
     quantity,
     read_number,
@@ -90,7 +90,7 @@ class Strict(BaseModel):
     def _is_consistent(self):
         values = {name: getattr(self, name) for name in type(self).model_fields}
         if found := tuple(run_checks(self.checks, values)):
-            raise Inconsistent(found)
+            raise InconsistentError(found)
         return self
 
 
@@ -142,17 +142,17 @@ def _lattice_fits(width, length, height, cell_size) -> Iterator[Found]:
         text = f"expected a cell size in m, at most the {least} ({sides[least]:g} m){hint}"
         yield ("cell_size",), text
     if cells > MAX_CELLS:
-        yield ("cell_size",), (
+        text = (
             f"makes a lattice of {cells:.2g} cells, expected at most {MAX_CELLS:.0g}; "
             "give all lengths in m, or choose larger cells"
         )
+        yield ("cell_size",), text
 
 
 def _mask_fits(width, length, height, mask) -> Iterator[Found]:
     if isinstance(mask, CylinderMask) and (mask.diameter or 0) > min(width, length) * (1 + 1e-9):
-        yield ("mask", "diameter"), (
-            f"expected at most the smaller of width and length ({min(width, length):g} m)"
-        )
+        text = f"expected at most the smaller of width and length ({min(width, length):g} m)"
+        yield ("mask", "diameter"), text
     if isinstance(mask, DrawbellMask) and mask.height > height * (1 + 1e-9):
         yield ("mask", "height"), f"expected at most geometry.height ({height:g} m)"
 
@@ -187,9 +187,10 @@ class Geometry(Strict):
 
 def _density_order(bulk_density, particle_density) -> Iterator[Found]:
     if bulk_density > particle_density:
-        yield ("bulk_density",), (
+        text = (
             f"expected at most particle_density ({particle_density:g} kg m-3); are they exchanged?"
         )
+        yield ("bulk_density",), text
 
 
 def _size_order(particle_size) -> Iterator[Found]:
@@ -264,9 +265,8 @@ def _scatter(value: Any) -> Any:
 def _table_fits(height, value) -> Iterator[Found]:
     yield from _increasing("height", height)
     if len(height) != len(value):
-        yield ("value",), (
-            f"expected as many values as heights ({len(height)}), these are {len(value)}"
-        )
+        text = f"expected as many values as heights ({len(height)}), these are {len(value)}"
+        yield ("value",), text
 
 
 class EMinTable(Strict):
@@ -299,14 +299,16 @@ EMin = Annotated[EMinTable | EMinPower, Field(discriminator="type")]
 
 
 def _one_source_of_E(E, attenuation_length, from_) -> Iterator[Found]:
-    given = [key for key, value in
-             (("E", E), ("attenuation_length", attenuation_length), ("from", from_))
-             if value is not None]
+    given = [
+        key
+        for key, value in (("E", E), ("attenuation_length", attenuation_length), ("from", from_))
+        if value is not None
+    ]
     if len(given) != 1:
-        yield (), (
-            "expected exactly one of E, attenuation_length, from; "
-            + (f"these are {' and '.join(given)}" if given else "none is given")
+        text = "expected exactly one of E, attenuation_length, from; " + (
+            f"these are {' and '.join(given)}" if given else "none is given"
         )
+        yield (), text
 
 
 def _s_is_given(s, from_) -> Iterator[Found]:
@@ -320,9 +322,10 @@ def _E_min_below_E(E, E_min) -> Iterator[Found]:
     table = isinstance(E_min, EMinTable)
     for place, value in enumerate(E_min.value if table else (E_min.value,)):
         if value > E:
-            yield ("E_min", "value", *([place] if table else [])), (
+            text = (
                 f"expected at most E ({E:g}): flowing ground passes on no more than ground at rest"
             )
+            yield ("E_min", "value", *([place] if table else [])), text
 
 
 class Stress(Strict):
@@ -334,9 +337,9 @@ class Stress(Strict):
     """In place of E: the length c / (1 - E) over which load is shed, m."""
     from_: FileStem | None = Field(None, alias="from")
     """In place of E: the experiment whose calibrated parameters are taken."""
-    s: Annotated[
-        Scatter, BeforeValidator(_scatter, json_schema_input_type=float | Scatter)
-    ] | None = None
+    s: (
+        Annotated[Scatter, BeforeValidator(_scatter, json_schema_input_type=float | Scatter)] | None
+    ) = None
     """Exponent of distance in the weights (1/d)^s: a number, or mean and std over the cells."""
     R: Fraction | None = None
     """Relaxation: factor in [0, 1] on weights onto movement-zone cells beside stagnant ones."""
@@ -388,9 +391,8 @@ def _increment_fits(mass, increment) -> Iterator[Found]:
     if increment > mass:
         yield ("increment",), f"expected at most the line's mass ({mass:g} kg)"
     elif mass / MAX_STEPS > increment:
-        yield ("increment",), (
-            f"expected at least {mass / MAX_STEPS:g} kg, for at most {MAX_STEPS:g} increments"
-        )
+        text = f"expected at least {mass / MAX_STEPS:g} kg, for at most {MAX_STEPS:g} increments"
+        yield ("increment",), text
 
 
 def _no_repeats(drawpoints) -> Iterator[Found]:
@@ -463,26 +465,25 @@ def _particles_fit(geometry, material) -> Iterator[Found]:
     for place, size in enumerate(material.particle_size or ()):
         if size > least / 2:
             hint = f"; did you mean {size / 1000:.6g}?" if size / 1000 <= least / 2 else ""
-            yield ("material", "particle_size", place), (
-                f"expected a length in m, at most half the smallest side ({least / 2:g} m){hint}"
-            )
+            text = f"expected a length in m, at most half the smallest side ({least / 2:g} m){hint}"
+            yield ("material", "particle_size", place), text
 
 
 def _levels_fit(geometry, filling) -> Iterator[Found]:
     for place, level in enumerate(filling.levels if filling else ()):
         if level > geometry.height * (1 + 1e-9):
-            yield ("filling", "levels", place), (
-                f"expected at most geometry.height ({geometry.height:g} m)"
-            )
+            text = f"expected at most geometry.height ({geometry.height:g} m)"
+            yield ("filling", "levels", place), text
 
 
 def _attenuation_fits(geometry, stress) -> Iterator[Found]:
     length = stress.attenuation_length
     if length is not None and length <= geometry.cell_size:
-        yield ("stress", "attenuation_length"), (
+        text = (
             f"expected more than geometry.cell_size ({geometry.cell_size:g} m), as E = 1 - "
             "cell_size / attenuation_length is above 0"
         )
+        yield ("stress", "attenuation_length"), text
 
 
 def _areas_fit(key: str, areas, geometry) -> Iterator[Found]:
@@ -495,10 +496,11 @@ def _areas_fit(key: str, areas, geometry) -> Iterator[Found]:
             limit = getattr(geometry, side)
             low, high = middle - extent / 2, middle + extent / 2
             if low < -1e-9 * limit or high > limit * (1 + 1e-9):
-                yield (key, place, center), (
+                text = (
                     f"{area.name} covers {low:g} to {high:g} m, "
                     f"outside the base (0 to {limit:g} m along {center})"
                 )
+                yield (key, place, center), text
 
 
 def _drawpoints_fit(geometry, drawpoints) -> Iterator[Found]:
@@ -513,7 +515,8 @@ def _lines_name_drawpoints(draw, drawpoints) -> Iterator[Found]:
     known = [drawpoint.name for drawpoint in drawpoints]
     for line, place, name in (
         (line, place, name)
-        for line, entry in enumerate(draw) for place, name in enumerate(entry.drawpoints)
+        for line, entry in enumerate(draw)
+        for place, name in enumerate(entry.drawpoints)
     ):
         if name not in known:
             hint = did_you_mean(name, known, "known drawpoints:") or "; drawpoints is empty"
@@ -550,10 +553,11 @@ def _drawbells_have_drawpoints(geometry, drawpoints) -> Iterator[Found]:
 
 def _draw_starts_full(draw, filling) -> Iterator[Found]:
     if draw and filling:
-        yield ("filling",), (
+        text = (
             "a draw experiment is read with the model full; "
             "put fill levels into a static experiment of their own"
         )
+        yield ("filling",), text
 
 
 def _readings_end_with_the_draw(draw, readings) -> Iterator[Found]:
@@ -564,14 +568,12 @@ def _readings_end_with_the_draw(draw, readings) -> Iterator[Found]:
     if readings.every is not None and readings.every > limit:
         yield ("readings", "every"), f"expected at most the mass of all draw lines ({total:g} kg)"
     if readings.every is not None and readings.every < total / MAX_STEPS:
-        yield ("readings", "every"), (
-            f"expected at least {total / MAX_STEPS:g} kg, for at most {MAX_STEPS:g} readings"
-        )
+        text = f"expected at least {total / MAX_STEPS:g} kg, for at most {MAX_STEPS:g} readings"
+        yield ("readings", "every"), text
     for place, mass in enumerate(readings.at_mass_drawn or ()):
         if mass > limit:
-            yield ("readings", "at_mass_drawn", place), (
-                f"expected at most the mass of all draw lines ({total:g} kg)"
-            )
+            text = f"expected at most the mass of all draw lines ({total:g} kg)"
+            yield ("readings", "at_mass_drawn", place), text
 
 
 def _calibrate_is_possible(calibrate, draw) -> Iterator[Found]:

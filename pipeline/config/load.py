@@ -6,21 +6,21 @@ import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
 
 from pipeline.config.experiment import Experiment
+from pipeline.config.measured import MeasuredError, MeasuredRow, read_measured
 from pipeline.config.messages import NAME_PATTERN, ConfigError, did_you_mean, problems, shown_path
 from pipeline.config.study import HeldOutLoadCells, Study
-from pipeline.files.measured import MeasuredError, MeasuredRow, read_measured
 
 
 class _Loader(yaml.SafeLoader):
     """SafeLoader with the scalars of YAML 1.2 (1e-3 is a number, yes is text), no key twice."""
 
-    yaml_implicit_resolvers: dict = {}
+    yaml_implicit_resolvers: ClassVar[dict] = {}
 
     def construct_mapping(self, node, deep=False):
         first: dict[str, int] = {}
@@ -105,7 +105,8 @@ def _kind(content: Any) -> str:
 
 def _yaml_files(folder: Path) -> list[Path]:
     return sorted(
-        path for path in folder.iterdir()
+        path
+        for path in folder.iterdir()
         if path.suffix.lower() in (".yaml", ".yml") and path.is_file()
     )
 
@@ -292,9 +293,12 @@ def _study_problems(
             hint = did_you_mean(name, experiments, "known experiments:")
             yield study.path, f"{where}no such experiment{hint}"
         elif study.data is None and known[name].measured is None:
-            yield study.path, (
-                f"{where}has no measured values; name a table with `measured` in its file, "
-                "or with `data` in this one"
+            yield (
+                study.path,
+                (
+                    f"{where}has no measured values; name a table with `measured` in its file, "
+                    "or with `data` in this one"
+                ),
             )
         elif study.data is not None:
             try:
@@ -312,7 +316,7 @@ def _hold_out_problems(
     if isinstance(held_out, tuple):
         for name, experiment in known.items():
             chain = [source.name for source in _sources(experiment, experiments)]
-            if len(chain) > 1 and set(chain) & set(held_out):
+            if set(chain[1:]) & set(held_out):
                 yield (
                     f"hold_out: {name} takes its stress from {chain[1]}, which would carry "
                     "held-out data across; write its E, s, R and E_min out"

@@ -35,7 +35,7 @@ class ConfigError(ValueError):
         return type(self), (self.problems,)
 
 
-class Inconsistent(ValueError):
+class InconsistentError(ValueError):
     """Raised inside a model's validation: several problems, located relative to that model."""
 
     def __init__(self, found: Iterable[Found]):
@@ -169,8 +169,10 @@ def run_checks(checks: Iterable[Callable], values: Mapping[str, Any]) -> Iterato
 def problems(model: type[BaseModel], error: ValidationError, raw: Mapping) -> list[str]:
     """One text per problem of ``raw``: those of single keys, then those across the sound keys."""
     found = [problem for detail in error.errors() for problem in _translate(model, detail, raw)]
-    if not any(isinstance(_cause(detail), Inconsistent) and not detail["loc"]
-               for detail in error.errors()):
+    if not any(
+        isinstance(_cause(detail), InconsistentError) and not detail["loc"]
+        for detail in error.errors()
+    ):
         sound = _sound_values(model, raw, bad={location[0] for location, _ in found if location})
         found += run_checks(getattr(model, "checks", ()), sound)
     return list(dict.fromkeys(_line(location, text, raw) for location, text in found))
@@ -212,11 +214,13 @@ def _line(location: Location, text: str, raw: Any) -> str:
 def _translate(model: type[BaseModel], detail: Mapping, raw: Any) -> Iterator[Found]:
     kind, models = detail["type"], _models_at(model, detail["loc"])
     location = _in_file(detail["loc"], raw, keep_last=kind == "missing")
-    keys = list(dict.fromkeys(
-        field.alias or name for owner in models for name, field in owner.model_fields.items()
-    ))
+    keys = list(
+        dict.fromkeys(
+            field.alias or name for owner in models for name, field in owner.model_fields.items()
+        )
+    )
     match kind:
-        case "value_error" if isinstance(_cause(detail), Inconsistent):
+        case "value_error" if isinstance(_cause(detail), InconsistentError):
             for inner, text in _cause(detail).found:
                 yield location + inner, text
         case "value_error":
@@ -303,14 +307,17 @@ def _models_at(model: type[BaseModel], location: Location) -> list[type[BaseMode
         if isinstance(part, int):
             continue
         fields = [
-            field for owner in models for name, field in owner.model_fields.items()
+            field
+            for owner in models
+            for name, field in owner.model_fields.items()
             if part in (name, field.alias)
         ]
         if fields:
             models = [inner for field in fields for inner in _models_in(field.annotation)]
         else:
-            models = [owner for owner in models if "type" in owner.model_fields
-                      and part in _tags([owner])] or models
+            models = [
+                owner for owner in models if "type" in owner.model_fields and part in _tags([owner])
+            ] or models
     return models
 
 

@@ -100,10 +100,8 @@ def _parameters_differ(parameters) -> Iterator[Found]:
         if name in names[:place]:
             yield ("parameters", place, "name"), "named twice"
         if name == "s" and {"s.mean", "s.std"} & set(names):
-            yield (
-                ("parameters", place, "name"),
-                "s is s.mean and s.std; name either s or its parts",
-            )
+            text = "s is s.mean and s.std; name either s or its parts"
+            yield ("parameters", place, "name"), text
 
 
 def _effects_exist(candidates, scopes) -> Iterator[Found]:

@@ -32,7 +32,11 @@ STATISTICS = {  # suffix: (words, cell method over replicates)
     "p50": ("median over replicates", "realization: median"),
     "p95": ("95th percentile over replicates", None),
 }
-AS_DECLARED = "_as_declared"
+AS_DECLARED, WITHOUT_ZONE = "_as_declared", "_without_zone"
+VARIANTS = {  # suffix of readings of the same replicates with other parameters: words
+    AS_DECLARED: "with the parameters as declared",
+    WITHOUT_ZONE: "with R = 1 and E_min = E, the movement zone as stagnant ground",
+}
 
 
 @cache
@@ -42,7 +46,7 @@ def variable_table() -> dict[str, dict[str, Any]]:
 
 
 def describe(name: str, statistics: bool = False) -> dict[str, Any]:
-    """Metadata of a variable, of one of its statistics, or of either as declared.
+    """Metadata of a variable, of one of its statistics, or of a variant of either.
 
     With `statistics`, a suffix of `STATISTICS` is read as such first: `base_vertical_stress_std`
     is the scatter between places in `replicates.nc` and that between replicates in
@@ -57,13 +61,16 @@ def describe(name: str, statistics: bool = False) -> dict[str, Any]:
     base, _, suffix = name.rpartition("_")
     if name in table and not (statistics and base in table and suffix in STATISTICS):
         return dict(table[name])
-    if AS_DECLARED in name:
-        entry = describe(name.replace(AS_DECLARED, ""), statistics)
-        long_name = f"{entry['long_name']}, with the parameters as declared"
-        return entry | {
-            "long_name": long_name,
-            "ancillary": [_as_declared(other) for other in entry.get("ancillary", ())],
-        }
+    for variant, words in VARIANTS.items():
+        if variant in name:
+            entry = describe(name.replace(variant, ""), statistics)
+            return entry | {
+                "long_name": f"{entry['long_name']}, {words}",
+                "ancillary": [
+                    other if other in table else f"{variant}_".join(other.rsplit("_", 1))
+                    for other in entry.get("ancillary", ())
+                ],
+            }
     if base not in table or suffix not in STATISTICS:
         raise KeyError(f"{name} is not in variables.yaml")
     words, method = STATISTICS[suffix]
@@ -75,13 +82,6 @@ def describe(name: str, statistics: bool = False) -> dict[str, Any]:
     if suffix == "mean":
         entry["ancillary"] = [f"{base}_std", f"{base}_se", "replicate_count"]
     return entry
-
-
-def _as_declared(name: str) -> str:
-    if name == "replicate_count":
-        return name
-    base, _, suffix = name.rpartition("_")
-    return f"{base}{AS_DECLARED}_{suffix}"
 
 
 def write_dataset(

@@ -5,7 +5,7 @@ zones, extents, counts of loosened places) is here read off the whole lattice af
 """
 
 import math
-from itertools import product
+from itertools import accumulate, product
 
 import numpy as np
 
@@ -80,15 +80,13 @@ def _climb(state, place, drawpoint, exponent, bulking, rng, after_step):
                 state.counters[HANG_UPS] += 1
             return
 
-        total = 0.0
-        for _, weight in candidates:
-            total += weight
-        threshold = rng.random() * total
-        cumulative = 0.0
-        for chosen, weight in candidates:
-            cumulative += weight
-            if cumulative > threshold:
-                break
+        cumulative = list(accumulate(weight for _, weight in candidates))
+        threshold = rng.random() * cumulative[-1]
+        chosen = next(
+            near
+            for (near, _), reached in zip(candidates, cumulative, strict=True)
+            if reached > threshold
+        )
 
         first_loosened = state.code[chosen] == STAGNANT
         state.code[place] = MOVEMENT
@@ -101,10 +99,9 @@ def _climb(state, place, drawpoint, exponent, bulking, rng, after_step):
         state.counters[VOID_STEPS] += 1
         after_step(state)
         place = chosen
-        if first_loosened:
-            if bulking == 1 or (bulking != 0 and rng.random() < bulking):
-                state.counters[PARKED_VOIDS] += 1
-                return
+        if first_loosened and (bulking == 1 or (bulking != 0 and rng.random() < bulking)):
+            state.counters[PARKED_VOIDS] += 1
+            return
 
 
 def _around(place, levels, shape):

@@ -17,7 +17,7 @@ from pipeline.lattice.cells import MOVEMENT, OUTSIDE, STAGNANT
 
 RULES = ("inverse_distance", "multinomial")
 S_LIMIT = 128.0  # beyond it the weights differ by 2^64 and more: their limit, in double precision
-LEAST_RECEPTIVITY = 1e-30  # R = 0 still lets a cell without stagnant receivers hand its load on
+LEAST_RECEPTIVITY = 1e-100  # R = 0 still lets a cell without stagnant receivers hand its load on
 
 
 def spreading_weights(
@@ -49,9 +49,12 @@ def spreading_weights(
     corner = np.exp2(-0.5 * math.log2(3.0) * s)
     if rule == "multinomial":
         d_edge, d_corner = math.sqrt(2.0), math.sqrt(3.0)
-        total = 1.0 + 4.0 * edge.astype(np.float64) + 4.0 * corner.astype(np.float64)
+        edge, corner = edge.astype(np.float64), corner.astype(np.float64)
+        total = 1.0 + 4.0 * edge + 4.0 * corner
         edge = edge**d_edge * total ** (1.0 - d_edge) / math.gamma(d_edge + 1.0)
         corner = corner**d_corner * total ** (1.0 - d_corner) / math.gamma(d_corner + 1.0)
+        least = np.finfo(np.float32).tiny  # never 0: a lone far receiver still takes the load
+        edge, corner = np.maximum(edge, least), np.maximum(corner, least)
     elif rule != "inverse_distance":
         raise ValueError(f"stress rule {rule!r}: expected one of {', '.join(RULES)}")
     return edge.astype(dtype), corner.astype(dtype)
@@ -155,7 +158,7 @@ def stress_sweep(
         for y in range(ny):
             for x in range(nx):
                 cell = code[k, y, x]
-                if cell == STAGNANT or cell == MOVEMENT:
+                if cell in (STAGNANT, MOVEMENT):
                     lost = carried[y, x] * shed_fraction[k, y, x]
                     given = carried[y, x] - lost
                     shed += lost

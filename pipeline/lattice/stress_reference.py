@@ -47,7 +47,7 @@ def stress_sweep_reference(weight, shed_fraction, edge, corner, code, relaxation
                         if 0 <= y + dy < ny and 0 <= x + dx < nx:
                             of_ring += shares[y + dy, x + dx, 1 - dy, 1 - dx]
                     received += of_ring
-                own = weight[k, y, x] * (top_fraction if k == nz - 1 else 1.0)
+                own = float(weight[k, y, x]) * (top_fraction if k == nz - 1 else 1.0)
                 load[k, y, x] = own + received + handed_down[y, x]
                 passing[y, x] = load[k, y, x]
         if k == 0:
@@ -58,7 +58,7 @@ def stress_sweep_reference(weight, shed_fraction, edge, corner, code, relaxation
             for x in range(nx):
                 given = passing[y, x]
                 if is_granular(k, y, x):
-                    lost = load[k, y, x] * shed_fraction[k, y, x]
+                    lost = load[k, y, x] * float(shed_fraction[k, y, x])
                     shed += lost
                     given = load[k, y, x] - lost
                     below = [

@@ -6,15 +6,15 @@ import logging
 import math
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import dask
 import numpy as np
 import xarray as xr
 
-from pipeline.files.netcdf import AS_DECLARED
+from pipeline.files.netcdf import AS_DECLARED, WITHOUT_ZONE
 from pipeline.montecarlo.fields import FieldSums
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.parameters import Parameters
@@ -38,6 +38,13 @@ DIMS = {  # of a Readings attribute, after `replicate`
     "drawn_mass": ("extraction",),
     "replicate_vertical_stress": ("time", "z", "y", "x"),
 }
+VARIED = (  # kept of a variant
+    "vertical_stress",
+    "base_vertical_stress",
+    "base_vertical_stress_std",
+    "movement_zone_height",
+    "movement_zone_width",
+)
 
 
 @dataclass(frozen=True)
@@ -82,40 +89,44 @@ def run_replicates(
     return [readings for chunk_readings, _ in parts for readings in chunk_readings], sums
 
 
-def run_both(
+def run_experiment(
     setup: Setup, used: Parameters, declared: Parameters, execution: Execution = Execution()
 ) -> tuple[xr.Dataset, xr.Dataset]:
     """Content of `replicates.nc` and `fields.nc` of an experiment.
 
-    Runs the experiment's replicates with the parameters `used` and, where calibration changed
-    them, once more on the same streams with those `declared`.
+    Runs the experiment's replicates with the parameters `used`; on the same streams once more
+    with those `declared`, where calibration changed them, and in a draw experiment with a
+    movement zone that carries stress like stagnant ground (R = 1, E_min = E).
     """
     name, count = setup.experiment.name, setup.experiment.replicates
     with progress(name, count):
         replicates, sums = run_replicates(setup, used, count, execution)
-    as_declared = None
+    variants = {}
     if declared != used:
-        with progress(f"{name} as declared", count):
-            as_declared, _ = run_replicates(setup, declared, count, execution, fields=False)
-    return replicates_dataset(setup, replicates, as_declared), sums.finalise()
+        variants[AS_DECLARED] = declared
+    if setup.masses:
+        variants[WITHOUT_ZONE] = replace(used, R=1.0, E_min=None)
+    others = {}
+    for suffix, parameters in variants.items():
+        with progress(f"{name}{suffix}", count):
+            others[suffix], _ = run_replicates(setup, parameters, count, execution, fields=False)
+    return replicates_dataset(setup, replicates, others), sums.finalise()
 
 
 def replicates_dataset(
-    setup: Setup, replicates: Sequence[Readings], declared: Sequence[Readings] | None = None
+    setup: Setup,
+    replicates: Sequence[Readings],
+    variants: Mapping[str, Sequence[Readings]] | None = None,
 ) -> xr.Dataset:
     """Readings on (replicate, time, load_cell) with `mass_drawn` or `fill_height` (time).
 
-    `declared` are the same replicates with the parameters as declared; their readings get names
-    that end in `_as_declared`. The extraction record is padded with -1.
+    `variants` are the same replicates with other parameters, by the suffix that the names of
+    their stress readings get. The extraction record is padded with -1.
     """
     experiment = setup.experiment
     data = dict(_stacked(replicates))
-    if declared is not None:
-        data |= {
-            f"{name}{AS_DECLARED}": value
-            for name, value in _stacked(declared)
-            if "time" in value[0] and "z" not in value[0]
-        }
+    for suffix, readings in (variants or {}).items():
+        data |= {f"{name}{suffix}": value for name, value in _stacked(readings) if name in VARIED}
     if setup.masses:
         data["mass_drawn"] = ("time", np.array(setup.masses))
         data["drawpoint_name"] = ("drawpoint", _names(experiment.drawpoints))

@@ -9,11 +9,12 @@ import numpy as np
 import xarray as xr
 
 from pipeline.config.experiment import Experiment
-from pipeline.files.measured import QUANTITIES, MeasuredRow
-from pipeline.files.netcdf import AS_DECLARED
+from pipeline.config.measured import QUANTITIES, MeasuredRow
+from pipeline.files.netcdf import AS_DECLARED, WITHOUT_ZONE
 from pipeline.observe import row_covariance, simulated_rows
 
 CALIBRATED, DECLARED = "calibrated", "as_declared"
+SUFFIXES = {CALIBRATED: "", DECLARED: AS_DECLARED, "without_zone": WITHOUT_ZONE}
 REPRODUCED = 0.01  # relative difference up to which a published number counts as reproduced
 KEY = ("quantity", "load_cell", "fill_height", "mass_drawn")
 
@@ -33,14 +34,18 @@ def validate(
 
     Returns
     -------
-    dict, the content of `validation.json`: `readings` with one entry for each row; `overall`
-    `bias`, `mean_absolute_error` and `rmse` for each quantity in its unit and, with `_in_sd`, in
-    measured standard deviations; `published` numbers beside ours; `statements` in words. A row
-    that the calibration was fitted to is marked `used_in_calibration`.
+    dict, the content of `validation.json`: `readings` with one entry for each row and in it one
+    for each run (calibrated; as declared, where that differs; without R and E_min in a draw
+    experiment); `overall` `bias`, `mean_absolute_error` and `rmse` for each quantity in its
+    unit and, with `_in_sd`, in measured standard deviations; `published` numbers beside ours;
+    `statements` in words. A row that the calibration was fitted to is marked
+    `used_in_calibration`.
     """
-    suffixes = {CALIBRATED: ""}
-    if f"base_vertical_stress{AS_DECLARED}" in replicates:
-        suffixes[DECLARED] = AS_DECLARED
+    suffixes = {
+        run: suffix
+        for run, suffix in SUFFIXES.items()
+        if f"base_vertical_stress{suffix}" in replicates
+    }
     simulated = {
         run: simulated_rows(experiment, replicates, rows, suffix)
         for run, suffix in suffixes.items()
@@ -212,7 +217,5 @@ def _shortfalls(experiment: Experiment, replicates: xr.Dataset) -> list[tuple[st
         return []
     missing = replicates["drawpoint_shortfall"].values.mean(axis=0)
     return [
-        (point.name, kg)
-        for point, kg in zip(experiment.drawpoints, missing, strict=True)
-        if kg > 0
+        (point.name, kg) for point, kg in zip(experiment.drawpoints, missing, strict=True) if kg > 0
     ]

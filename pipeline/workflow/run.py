@@ -40,8 +40,9 @@ def snakemake_processes(folder: Path) -> list[psutil.Process]:
         try:
             if process.pid in family or Path(process.cwd()) != folder:
                 continue
-            if any("snakemake" in Path(part).name or ".snakemake" in part
-                   for part in process.cmdline()):
+            if any(
+                "snakemake" in Path(part).name or ".snakemake" in part for part in process.cmdline()
+            ):
                 found.append(process)
         except (psutil.Error, OSError):
             continue  # it has ended, or belongs to another user

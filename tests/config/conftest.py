@@ -16,7 +16,8 @@ def assert_in_house_style():
 
     def check(text: str) -> None:
         first, *problems = text.split("\n")
-        assert not first.startswith(" ") and problems
+        assert not first.startswith(" ")
+        assert problems
         assert not JARGON.search(text), text
         assert all(len(line) < 400 for line in text.split("\n"))
 

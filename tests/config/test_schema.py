@@ -15,7 +15,7 @@ def test_check_shows_what_is_stale(tmp_path, capsys):
     path = tmp_path / "study.schema.json"
     path.write_text(path.read_text().replace("max_effects", "most_effects"))
     assert main(["--check", "--folder", str(tmp_path)]) == 1
-    assert "+    \"max_effects\"" in capsys.readouterr().err
+    assert '+    "max_effects"' in capsys.readouterr().err
 
 
 def properties(schema):

@@ -41,16 +41,22 @@ def experiments(tmp_path):
 
 def test_defaults_are_filled_in(tmp_path):
     study = load_study(write(tmp_path / "walls.yaml", STUDY))
-    assert study.name == "walls" and study.path == tmp_path / "walls.yaml"
+    assert (study.name, study.path) == ("walls", tmp_path / "walls.yaml")
     assert (study.hold_out, study.candidates, study.alpha) == ("leave_one_out", "all", 0.05)
-    assert study.max_effects == 3 and study.data_path is None
+    assert (study.max_effects, study.data_path) == (3, None)
     again = load_study(write(tmp_path / "again.yaml", resolved(study)))
     assert digest(again) == digest(study)
 
 
-@pytest.mark.parametrize("hold_out", [
-    "leave_one_out", ["b"], {"load_cells": ["C1"]}, {"mass_drawn_above": 3.0},
-])
+@pytest.mark.parametrize(
+    "hold_out",
+    [
+        "leave_one_out",
+        ["b"],
+        {"load_cells": ["C1"]},
+        {"mass_drawn_above": 3.0},
+    ],
+)
 def test_each_way_of_holding_out_comes_back(tmp_path, hold_out):
     study = load_study(write(tmp_path / "walls.yaml", STUDY | {"hold_out": hold_out}))
     assert resolved(study)["hold_out"] == hold_out
@@ -109,4 +115,5 @@ def test_every_study_is_reported_at_once(tmp_path, message):
     write(tmp_path / "a.yaml", STUDY | {"alpha": 5})
     write(tmp_path / "b.yaml", STUDY | {"max_effects": -1})
     text = message(load_studies, tmp_path)
-    assert "a.yaml\n  alpha = 5" in text and "b.yaml\n  max_effects = -1" in text
+    assert "a.yaml\n  alpha = 5" in text
+    assert "b.yaml\n  max_effects = -1" in text

@@ -3,7 +3,7 @@
 from pipeline.config.load import check_measured, load_experiment
 from pipeline.files.atomic import read_json
 from pipeline.files.netcdf import read_dataset, write_dataset
-from pipeline.montecarlo.replicates import Execution, run_both
+from pipeline.montecarlo.replicates import Execution, run_experiment
 from pipeline.parameters import Parameters
 from pipeline.simulate import make_setup
 from pipeline.workflow.job import log_to
@@ -17,7 +17,7 @@ used, declared = (
     Parameters.from_document(calibration[key]) for key in ("parameters_used", "declared")
 )
 execution = Execution(snakemake.threads, snakemake.params.scheduler)
-replicates, fields = run_both(setup, used, declared, execution)
+replicates, fields = run_experiment(setup, used, declared, execution)
 for path, dataset, title in (
     (snakemake.output.fields, fields, "Fields over replicates"),
     (snakemake.output.replicates, replicates, "Replicates"),

@@ -24,8 +24,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 COLUMNS = (
-    "experiment", "load_cell", "fill_height", "mass_drawn", "quantity", "value", "std",
-    "std_shared", "count",
+    "experiment",
+    "load_cell",
+    "fill_height",
+    "mass_drawn",
+    "quantity",
+    "value",
+    "std",
+    "std_shared",
+    "count",
 )
 REQUIRED_COLUMNS = ("experiment", "quantity", "value", "std")
 QUANTITIES = {
@@ -104,8 +111,10 @@ def read_measured(path: Path, experiment) -> tuple[MeasuredRow, ...]:
         name = cells["experiment"]
         if name != experiment.name:
             if _folded(name) == _folded(experiment.name) or not name:
-                problems.append(f"line {line}, experiment = {name or '(empty)'}: expected a "
-                                f"name, did you mean {experiment.name}?")
+                problems.append(
+                    f"line {line}, experiment = {name or '(empty)'}: expected a "
+                    f"name, did you mean {experiment.name}?"
+                )
             elif name not in others:
                 others.append(name)
             continue
@@ -205,8 +214,9 @@ class _RowReader:
                 self._say(column, f"expected {expected}; write a bare number")
             return None
         if not math.isfinite(number):
-            self._say(column, f"expected {expected}; it must be finite; a row without a value "
-                              "is left out")
+            self._say(
+                column, f"expected {expected}; it must be finite; a row without a value is left out"
+            )
             return None
         return number
 
@@ -254,8 +264,11 @@ class _RowReader:
             hint = f"; did you mean {level / 1000:g}?" if 0 < level / 1000 <= height else ""
             self._say("fill_height", f"expected {expected}{hint}")
         elif self.experiment.is_draw and level < height * (1 - _MERGE):
-            self._say("fill_height", "a draw experiment is read with the model full; put fill "
-                                     "levels into a static experiment of their own")
+            self._say(
+                "fill_height",
+                "a draw experiment is read with the model full; put fill "
+                "levels into a static experiment of their own",
+            )
         return level
 
     def _mass_drawn(self, quantity: str | None) -> float | None:
@@ -280,8 +293,11 @@ class _RowReader:
         if unit == "m":
             expected = "a length in m, 0 or more"
             value = self._number("value", expected)
-            longest = 2 * max(self.experiment.geometry.height, self.experiment.geometry.width,
-                              self.experiment.geometry.length)
+            longest = 2 * max(
+                self.experiment.geometry.height,
+                self.experiment.geometry.width,
+                self.experiment.geometry.length,
+            )
             if value is not None and value < 0:
                 self._say("value", f"expected {expected}")
             elif value is not None and value > longest:
@@ -290,8 +306,9 @@ class _RowReader:
         expected = "a ratio above 0" if unit == "1" else f"a number in {unit}, above 0"
         value = self._positive("value", expected)
         if unit == "kPa" and value is not None and value > _LARGEST_STRESS:
-            self._say("value", f"expected {expected}; this looks like Pa, "
-                               f"did you mean {value / 1000:g}?")
+            self._say(
+                "value", f"expected {expected}; this looks like Pa, did you mean {value / 1000:g}?"
+            )
         return value
 
     def _std_shared(self) -> float | None:
@@ -332,16 +349,20 @@ def _read_csv(path: Path) -> Iterator[tuple[int, dict[str, str] | str]]:
     except OSError as error:
         raise MeasuredError(path, [f"cannot be read: {error.strerror}"]) from None
     lines = [
-        (number, line) for number, line in enumerate(text.splitlines(), start=1)
+        (number, line)
+        for number, line in enumerate(text.splitlines(), start=1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
     if not lines:
         raise MeasuredError(path, [f"empty; expected the columns {_listed(COLUMNS)}"])
     if ";" in lines[0][1] and "," not in lines[0][1]:
-        raise MeasuredError(path, [
-            f"line {lines[0][0]}: columns are separated by semicolons; separate them by commas, "
-            "with a point in decimal numbers"
-        ])
+        raise MeasuredError(
+            path,
+            [
+                f"line {lines[0][0]}: columns are separated by semicolons; separate them by "
+                "commas, with a point in decimal numbers"
+            ],
+        )
     try:
         fields = list(csv.reader((line for _, line in lines), strict=True))
     except csv.Error as error:
@@ -352,9 +373,8 @@ def _read_csv(path: Path) -> Iterator[tuple[int, dict[str, str] | str]]:
     _check_columns(path, f"line {lines[0][0]}", header)
     for (number, _), cells in zip(lines[1:], fields[1:], strict=True):
         if len(cells) != len(header):
-            yield number, (
-                f"line {number}: {len(cells)} fields, expected {len(header)} as in the first line"
-            )
+            counts = f"{len(cells)} fields, expected {len(header)}"
+            yield number, f"line {number}: {counts} as in the first line"
         else:
             given = dict(zip(header, (cell.strip() for cell in cells), strict=True))
             yield number, {column: given.get(column, "") for column in COLUMNS}
@@ -367,9 +387,7 @@ def _read_netcdf(path: Path) -> Iterator[tuple[int, dict[str, str] | str]]:
     try:
         with netCDF4.Dataset(path) as dataset:
             _check_columns(path, "variables", list(dataset.variables))
-            columns = {
-                name: _texts(dataset[name]) for name in COLUMNS if name in dataset.variables
-            }
+            columns = {name: _texts(dataset[name]) for name in COLUMNS if name in dataset.variables}
     except OSError as error:
         raise MeasuredError(path, [f"not readable as netCDF: {error}"]) from None
     lengths = {name: len(texts) for name, texts in columns.items()}
@@ -377,9 +395,7 @@ def _read_netcdf(path: Path) -> Iterator[tuple[int, dict[str, str] | str]]:
         listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
         raise MeasuredError(path, [f"variables differ in length ({listed}); use one dimension"])
     for place in range(lengths["experiment"]):
-        yield place + 1, {
-            name: columns[name][place] if name in columns else "" for name in COLUMNS
-        }
+        yield place + 1, {name: columns[name][place] if name in columns else "" for name in COLUMNS}
 
 
 def _texts(variable) -> list[str]:
@@ -396,12 +412,21 @@ def _texts(variable) -> list[str]:
 
 
 def _check_columns(path: Path, where: str, header: list[str]) -> None:
-    problems = [f"{where}: column {name} appears {header.count(name)} times"
-                for name in dict.fromkeys(header) if header.count(name) > 1]
-    problems += [f"{where}: unknown column {name or '(empty)'}{_nearest(name, COLUMNS, 'known:')}"
-                 for name in dict.fromkeys(header) if name not in COLUMNS]
-    problems += [f"{where}: column {name} is missing; expected {_listed(COLUMNS)}"
-                 for name in REQUIRED_COLUMNS if name not in header]
+    problems = [
+        f"{where}: column {name} appears {header.count(name)} times"
+        for name in dict.fromkeys(header)
+        if header.count(name) > 1
+    ]
+    problems += [
+        f"{where}: unknown column {name or '(empty)'}{_nearest(name, COLUMNS, 'known:')}"
+        for name in dict.fromkeys(header)
+        if name not in COLUMNS
+    ]
+    problems += [
+        f"{where}: column {name} is missing; expected {_listed(COLUMNS)}"
+        for name in REQUIRED_COLUMNS
+        if name not in header
+    ]
     if problems:
         raise MeasuredError(path, problems)
 
