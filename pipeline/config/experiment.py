@@ -433,6 +433,18 @@ class Readings(Strict):
     )
 
 
+class PublishedFact(Strict):
+    """What was published of σ_v/σ_v0 in some load cells during draw, to be checked by sign."""
+
+    change: Literal["rises", "falls", "rises_then_falls", "falls_in_order"]
+    """rises: above 1 at its highest; falls: below 1 at its end; falls_in_order: below 0.8 first in
+    the first cell, then in the next."""
+    load_cells: Annotated[tuple[Text, ...], Field(min_length=1)]
+    """Load cells of which it was published."""
+    source: str = ""
+    """Where it was published."""
+
+
 class Published(Strict):
     """Numbers published beside this experiment, shown next to ours and used for nothing."""
 
@@ -450,6 +462,10 @@ class Published(Strict):
     """Published mean of |experiment - simulation|, kPa."""
     test: whole("a whole number, 1 or more", ge=1, le=10**6) | None = None
     """Number of the test in the source."""
+    ratio_range: tuple[Number, Number] | None = None
+    """Smallest and largest published σ_v/σ_v0."""
+    facts: tuple[PublishedFact, ...] = ()
+    """What is known of load cells whose curves were published as pictures only."""
     note: str = ""
     """What a reader should know of these numbers."""
     source: str = ""
@@ -509,6 +525,15 @@ def _drawpoints_fit(geometry, drawpoints) -> Iterator[Found]:
 
 def _load_cells_fit(geometry, load_cells) -> Iterator[Found]:
     yield from _areas_fit("load_cells", load_cells, geometry)
+
+
+def _facts_name_load_cells(published, load_cells) -> Iterator[Found]:
+    names = [cell.name for cell in load_cells]
+    for place, fact in enumerate(published.facts if published else ()):
+        for rank, name in enumerate(fact.load_cells):
+            if name not in names:
+                text = "no such load cell" + did_you_mean(name, names, "declared load cells:")
+                yield ("published", "facts", place, "load_cells", rank), text
 
 
 def _lines_name_drawpoints(draw, drawpoints) -> Iterator[Found]:
@@ -656,6 +681,7 @@ class Experiment(Strict):
         _attenuation_fits,
         _drawpoints_fit,
         _load_cells_fit,
+        _facts_name_load_cells,
         _lines_name_drawpoints,
         _bed_holds_the_draw,
         _draw_is_complete,

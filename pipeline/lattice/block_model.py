@@ -97,11 +97,15 @@ def ground_mask(experiment: Experiment, lattice: Lattice) -> np.ndarray:
 
 def _mask_from_file(experiment: Experiment, lattice: Lattice, variable: str) -> np.ndarray:
     file = experiment.mask_path
-    with xr.open_dataset(file) as dataset:
-        if variable not in dataset:
+    try:
+        with xr.open_dataset(file, engine="netcdf4") as dataset:
             found = ", ".join(map(str, dataset.data_vars)) or "no variable"
-            raise _mask_error(experiment, f".variable = {variable}", f"{file} has only: {found}")
-        values = dataset[variable].load()
+            values = dataset[variable].load() if variable in dataset else None
+    except OSError as error:
+        text = f"{file} is not readable as netCDF: {error.strerror}"
+        raise _mask_error(experiment, ".path", text) from None
+    if values is None:
+        raise _mask_error(experiment, f".variable = {variable}", f"{file} has only: {found}")
     if values.dims != ("z", "y", "x") or values.shape != lattice.shape:
         raise _mask_error(
             experiment,

@@ -1,8 +1,9 @@
 """Fields reduced over replicates with integer sums, so that any order gives the same bits.
 
-Stress enters as its difference from a reference profile, rounded to a grid of 2^-28 of the
-overburden (squares: of its square). Sums of such integers are exact: chunk → combine → finalise
-cannot depend on how replicates were shared out.
+Stress enters as its difference from a reference profile, rounded to a grid of 2^-40 of the
+overburden (squares: 2^-36 of its square). Sums of such integers are exact: chunk → combine →
+finalise cannot depend on how replicates were shared out. In 64 bits there is room for 10^6
+replicates with stresses of several times the overburden.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pipeline.lattice.cells import AIR, MOVEMENT, OUTSIDE, VOID
 from pipeline.lattice.grid import GRAVITY
 from pipeline.simulate import KPA, Setup
 
-GRID_BITS = 28
+STRESS_UNIT, SQUARE_UNIT = 2.0**-40, 2.0**-36  # of the overburden and of its square
 DENSITY_UNIT = 2.0**-8  # kg m-3
 
 
@@ -120,4 +121,4 @@ def _scales(setup: Setup) -> tuple[np.ndarray, float, float]:
     level_stress = density * GRAVITY * lattice.cell_size * KPA
     reference = level_stress * np.arange(lattice.nz, 0, -1)
     scale = 2.0 ** math.ceil(math.log2(level_stress * lattice.nz))
-    return reference, scale * 2.0**-GRID_BITS, scale**2 * 2.0**-GRID_BITS
+    return reference, scale * STRESS_UNIT, scale**2 * SQUARE_UNIT

@@ -15,6 +15,7 @@ from pipeline.observe import row_covariance, simulated_rows
 
 CALIBRATED, DECLARED = "calibrated", "as_declared"
 SUFFIXES = {CALIBRATED: "", DECLARED: AS_DECLARED, "without_zone": WITHOUT_ZONE}
+FALLEN = 0.8  # σ_v/σ_v0 below which a load cell counts as fallen
 REPRODUCED = 0.01  # relative difference up to which a published number counts as reproduced
 KEY = ("quantity", "load_cell", "fill_height", "mass_drawn")
 
@@ -52,6 +53,7 @@ def validate(
     }
     used = {tuple(target[key] for key in KEY) for target in calibration["targets"]}
     published = _published(experiment, replicates, suffixes)
+    overall = _overall(rows, simulated)
     readings = [
         _reading(row, {run: values[:, i] for run, values in simulated.items()}, used)
         for i, row in enumerate(rows)
@@ -66,9 +68,9 @@ def validate(
             DECLARED: calibration["declared"],
         },
         "readings": readings,
-        "overall": _overall(rows, simulated),
+        "overall": overall,
         "published": published,
-        "statements": _statements(experiment, replicates, calibration, rows, published),
+        "statements": _statements(experiment, replicates, calibration, rows, published, overall),
     }
 
 
@@ -145,7 +147,13 @@ def _published(
     if published is None:
         return None
     entry: dict[str, Any] = published.model_dump(mode="json")
-    if published.vertical_stress_mean is None or experiment.is_draw:
+    if experiment.is_draw:
+        entry["facts"] = _facts(experiment, replicates)
+        stress = replicates["vertical_stress"].values
+        ratio = (stress / stress[:, :1]).mean(axis=0)
+        entry["ours_ratio_range"] = [ratio.min(), ratio.max()]
+        return entry
+    if published.vertical_stress_mean is None:
         return entry
     suffix = suffixes.get(DECLARED, "")
     mean = replicates[f"base_vertical_stress{suffix}"].values[:, -1].mean()
@@ -169,9 +177,20 @@ def _statements(
     calibration: Mapping[str, Any],
     rows: Sequence[MeasuredRow],
     published: Mapping[str, Any] | None,
+    overall: Mapping[str, Mapping[str, Any]],
 ) -> list[str]:
     """What a reader must know, in words, each from numbers in the files."""
     statements = list(calibration["messages"])
+    if published and published.get("ours_ratio_range") and published["ratio_range"]:
+        low, high = published["ours_ratio_range"]
+        measured_low, measured_high = published["ratio_range"]
+        kept = sum(fact["holds"] for fact in published["facts"])
+        statements.append(
+            f"Of {len(published['facts'])} published signs and orders {kept} hold. Simulated "
+            f"σ_v/σ_v0 runs from {low:.2f} to {high:.2f}, published measurements from "
+            f"{measured_low:g} to {measured_high:g}: the highest is {measured_high - high:.2f} "
+            f"below the measured one."
+        )
     if published and "ours_mean" in published:
         ours, theirs = published["ours_mean"], published["vertical_stress_mean"]
         if published["mean_reproduced"]:
@@ -202,14 +221,102 @@ def _statements(
     negative = float(replicates["negative_s_share"].mean())
     if negative > 0:
         statements.append(f"{negative:.1%} of the cells have a negative s and spread outwards.")
+    if experiment.is_draw:
+        statements += _draw_statements(experiment, replicates, rows, overall)
+    if not rows:
+        statements.append("Nothing was measured: nothing is calibrated or validated.")
+    return statements
+
+
+def _draw_statements(
+    experiment: Experiment,
+    replicates: xr.Dataset,
+    rows: Sequence[MeasuredRow],
+    overall: Mapping[str, Mapping[str, Any]],
+) -> list[str]:
+    """What the draw did, what R and E_min are worth, and what the model lacks (§4)."""
+    statements = []
     for drawpoint, missing in _shortfalls(experiment, replicates):
         statements.append(
             f"Drawpoint {drawpoint} ran empty or hung up: {missing:.3g} kg of its schedule could "
             f"not be drawn on average."
         )
-    if not rows:
-        statements.append("Nothing was measured: nothing is calibrated or validated.")
+    hang_ups = float(replicates["hang_ups"].mean())
+    if hang_ups > 0:
+        statements.append(f"{hang_ups:.3g} voids hung up below other voids on average.")
+    series = [row for row in rows if row.quantity == "vertical_stress" and row.load_cell]
+    if not series:
+        return statements
+    error = {run: entry["vertical_stress"]["mean_absolute_error"] for run, entry in overall.items()}
+    before = np.array([row.value for row in series if not row.mass_drawn])
+    ratio = error[CALIBRATED] / error["without_zone"]
+    text = (
+        f"R and E_min change the mean absolute error of the load cells from "
+        f"{error['without_zone']:.3g} to {error[CALIBRATED]:.3g} kPa: a factor {ratio:.2f}."
+    )
+    if len(before) > 1:
+        text += (
+            f" The {experiment.data_label} values before draw scatter by {before.std(ddof=1):.2g} "
+            f"kPa from cell to cell ({before.std(ddof=1) / before.mean():.0%} of their mean)."
+        )
+    statements.append(text)
+    last = max(row.mass_drawn for row in series)
+    final = [row for row in series if row.mass_drawn == last]
+    if last > 0 and before.size:
+        measured = np.mean([row.value for row in final]) / before.mean()
+        ours = simulated_rows(experiment, replicates, final).mean()
+        first = [row for row in series if not row.mass_drawn]
+        simulated = ours / simulated_rows(experiment, replicates, first).mean()
+        statements.append(
+            f"Over all load cells the {experiment.data_label} load is {measured:.2f} times that "
+            f"before draw after {last:.3g} kg, simulated {simulated:.2f} times: in the model the "
+            f"load that a movement zone does not pass on leaves the system, and a zone that is no "
+            f"longer drawn does not recover."
+        )
     return statements
+
+
+def _facts(experiment: Experiment, replicates: xr.Dataset) -> list[dict]:
+    """Published signs and orders of σ_v/σ_v0, checked on the mean over replicates."""
+    published = experiment.published
+    if published is None or not experiment.is_draw:
+        return []
+    stress = replicates["vertical_stress"].values
+    ratios = stress / stress[:, :1]
+    mean = ratios.mean(axis=0)
+    error = ratios.std(axis=0, ddof=1) / np.sqrt(len(ratios)) if len(ratios) > 1 else 0 * mean
+    mass = replicates["mass_drawn"].values
+    names = [cell.name for cell in experiment.load_cells]
+    facts = []
+    for fact in published.facts:
+        cells = [names.index(name) for name in fact.load_cells]
+        ours = mean[:, cells]
+        highest = ours.max(axis=0)
+        fallen = [
+            mass[below[0]] if len(below) else np.inf
+            for below in (np.flatnonzero(column < FALLEN) for column in ours.T)
+        ]
+        clearly_up = (mean - 2 * error > 1.0).any(axis=0)[cells].all()
+        holds = {
+            "rises": clearly_up,
+            "falls": (mean + 2 * error < 1.0)[-1, cells].all(),
+            "rises_then_falls": clearly_up and (ours[-1] < highest - 2 * error[-1, cells]).all(),
+            "falls_in_order": np.isfinite(fallen).all() and (np.diff(fallen) >= 0).all(),
+        }[fact.change]
+        facts.append(
+            {
+                "change": fact.change,
+                "load_cells": list(fact.load_cells),
+                "source": fact.source,
+                "holds": bool(holds),
+                "highest": highest,
+                "highest_at_mass_drawn": mass[ours.argmax(axis=0)],
+                "lowest": ours.min(axis=0),
+                "last": ours[-1],
+                "falls_below_0.8_at_mass_drawn": fallen,
+            }
+        )
+    return facts
 
 
 def _shortfalls(experiment: Experiment, replicates: xr.Dataset) -> list[tuple[str, float]]:

@@ -160,6 +160,21 @@ def test_splitting_a_visit_changes_nothing(layout, parts, exponent, bulking, see
     assert_same(whole, split)
 
 
+def test_a_drawpoint_within_the_zone_of_another_shares_it():
+    """Also where it loosens no place of its own."""
+    openings = [[(0, 0, 0)], [(1, 0, 0)]]
+    kernel, reference = (new_flow_state(np.full((5, 1, 1), STAGNANT), openings) for _ in range(2))
+    rng = np.random.default_rng(0)
+    draw_cells(kernel, 0, 1, bulking=0.0, rng=rng)
+    np.testing.assert_array_equal(zone_geometry(kernel, 1.0), [[5.0, 0.0], [1.0, 0.0]])
+    draw_cells(kernel, 1, 2, bulking=0.0, rng=rng)
+    np.testing.assert_array_equal(zone_geometry(kernel, 1.0), [[5.0, 5.0], [1.0, 1.0]])
+    rng = np.random.default_rng(0)
+    for drawpoint in (0, 1):
+        flow_reference.draw_to(reference, np.ones(5), drawpoint, drawpoint + 1.0, 3.0, 0.0, rng)
+    assert_same(kernel, reference)
+
+
 @pytest.mark.parametrize(("target", "cells"), [(0.0, 0), (0.4, 0), (0.5, 1), (7.4, 7), (7.6, 8)])
 def test_drawn_mass_is_nearest_to_the_target(target, cells):
     state = new_flow_state(*column(shape=(6, 5, 5), opening=3))

@@ -1,0 +1,379 @@
+"""Figures and tables of a draw, in the manner of Figs 11-18 of Gómez & Castro 2022."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.report.figures import (
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    SHARE_COLORS,
+    Panel,
+    section_size,
+)
+from pipeline.report.page import Data, Figure, Table, decimals_of, parts
+from pipeline.report.results import Results
+from pipeline.report.stress_figures import measured_points
+from pipeline.simulate import visits
+
+MASS = "mass drawn (kg)"
+RATIO = "σᵥ / σᵥ₀ (–)"
+SECTIONS = 4  # readings shown as sections, the first and the last among them
+BAND = "5–95 % of replicates"
+
+
+def draw_figures(results: Results, data: Data) -> list[Figure]:
+    """Load cells, sections, growth of the movement zone, E_min and the extraction zone."""
+    return [
+        load_cell_figure(results, data),
+        stress_section_figure(results, data),
+        zone_section_figure(results, data),
+        movement_zone_figure(results, data),
+        e_min_figure(results, data),
+        extraction_figure(results, data),
+    ]
+
+
+def draw_tables(results: Results, data: Data) -> list[Table]:
+    """Extremes of each load cell, and what each drawpoint gave."""
+    return [load_cell_table(results, data), drawpoint_table(results, data)]
+
+
+def stress_ratio(results: Results) -> np.ndarray:
+    """Vertical stress over that before draw, (replicate, time, load_cell)."""
+    stress = results.replicates["vertical_stress"].values
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return stress / stress[:, :1]
+
+
+def measured_ratio(results: Results, load_cell: str):
+    """Readings after the first with σᵥ/σᵥ₀, low and high (± 1 sd): measured at a load cell.
+
+    A ratio is taken as given; a stress is divided by the reading before draw, and both readings'
+    independent errors enter. Without a reading before draw stresses are left out.
+    """
+    points = [
+        (r, r["measured"], r["measured_sd"])
+        for r in results.readings("vertical_stress_ratio", load_cell)
+    ]
+    stress = results.readings("vertical_stress", load_cell)
+    before = next((r for r in stress if not r["mass_drawn"]), None)
+    if before is not None:
+        for r in stress:
+            ratio = r["measured"] / before["measured"]
+            error = np.hypot(r["measured_std"], ratio * before["measured_std"])
+            points.append((r, ratio, 0.0 if r is before else error / before["measured"]))
+    return (
+        [r for r, _, _ in points],
+        np.array([ratio for _, ratio, _ in points]),
+        np.array([error for _, _, error in points]),
+    )
+
+
+def load_cell_figure(results: Results, data: Data) -> Figure:
+    """σᵥ/σᵥ₀ of each load cell against mass drawn, on the same axes (Figs 16 and 18)."""
+    ratio, mass = stress_ratio(results), results.clock
+    low, high = np.nanquantile(ratio, [0.05, 0.95], axis=0)
+    mean = ratio.mean(axis=0)
+    measured = {cell.name: measured_ratio(results, cell.name) for cell in results.load_cells}
+    tops = [np.nanmax(high), *(np.max(v + e) for _, v, e in measured.values() if len(v))]
+    panels = []
+    for i, cell in enumerate(results.load_cells):
+        extremes = f"from {np.nanmin(mean[:, i]):.2f} to {np.nanmax(mean[:, i]):.2f}"
+        panel = Panel(
+            data,
+            "load_cells",
+            f"Load cell {cell.name}",
+            MASS,
+            RATIO,
+            f"Load cell {cell.name}: simulated stress over that before draw, {extremes}.",
+            (2.05, 1.6),
+        )
+        panel.reference("unchanged", y=1.0, dash="dotted")
+        panel.curve("model, mean", mass, mean[:, i], low[:, i], high[:, i], band=BAND)
+        readings, values, errors = measured[cell.name]
+        panel_x = [r["mass_drawn"] or 0.0 for r in readings]
+        measured_points(panel, results, readings, panel_x, values, values - errors, values + errors)
+        panel.axes.set(ylim=(0, 1.08 * max(tops)), xlim=(0, mass[-1]))
+        panels.append(panel)
+    caption = parts(
+        "Vertical stress on each load cell over that before draw; all panels have the same axes. "
+        "n = {} replicates. {}",
+        data.number("load_cells", "", "replicates", results.count),
+        f"Points ({results.label}): stress over the reading before draw, bars are ± 1 sd of the "
+        "readings' independent error."
+        if any(len(v) for _, v, _ in measured.values())
+        else "No load cell was measured.",
+    )
+    return Figure("load_cells", "Stress on the load cells during draw", caption, panels)
+
+
+def load_cell_table(results: Results, data: Data) -> Table:
+    """Largest and smallest σᵥ/σᵥ₀ of each load cell."""
+    mean, mass = stress_ratio(results).mean(axis=0), results.clock
+    table = Table(
+        "load_cell_extremes",
+        parts(
+            "Largest and smallest σᵥ/σᵥ₀ of each load cell: of the mean over {} replicates, and "
+            "of the values given ({}).",
+            data.number("load_cell_extremes", "", "replicates", results.count),
+            results.label,
+        ),
+        [
+            "Load cell",
+            "Stress before draw (kPa)",
+            "Largest ratio",
+            "at mass (kg)",
+            "Smallest ratio",
+            "at mass (kg) ",
+            f"Largest, {results.label}",
+            f"Smallest, {results.label}",
+        ],
+        data,
+    )
+    before = results.statistics["vertical_stress_mean"].values[0]
+    for i, cell in enumerate(results.load_cells):
+        _, values, _ = measured_ratio(results, cell.name)
+        most, least = np.nanargmax(mean[:, i]), np.nanargmin(mean[:, i])
+        numbers = (
+            (before[i], None),
+            (mean[most, i], 2),
+            (mass[most], 2),
+            (mean[least, i], 2),
+            (mass[least], 2),
+            (values.max() if len(values) > 1 else None, 2),
+            (values.min() if len(values) > 1 else None, 2),
+        )
+        table.add_numbers(cell.name, numbers)
+    return table.without_empty_columns()
+
+
+def shown_readings(results: Results) -> list[int]:
+    """Indices of the readings that are shown as sections, evenly over the mass drawn."""
+    mass = results.clock
+    wanted = np.linspace(0, mass[-1], SECTIONS)
+    return sorted({int(np.argmin(np.abs(mass - m))) for m in wanted})
+
+
+def stress_section_figure(results: Results, data: Data) -> Figure:
+    """x-z sections of the mean vertical stress at a few masses drawn (Figs 12, 15 and 17)."""
+    times = shown_readings(results)
+    sections = [results.section("vertical_stress_mean", t) for t in times]
+    high = float(max(np.nanmax(section) for section in sections))
+    panels = []
+    for t, section in zip(times, sections, strict=True):
+        peak = f"stress up to {np.nanmax(section):.3g} kPa"
+        panel = _section_panel(results, data, "stress_sections", t, peak)
+        x, z = results.fields["x"].values, results.fields["z"].values
+        panel.image(x, z, section, "mean stress (kPa)", 0.0, high)
+        zone = results.section("movement_zone_probability", t)
+        panel.outline("edge of the movement zone (in half of the replicates)", x, z, zone, 0.5)
+        _mark_base(panel, results)
+        panels.append(panel)
+    caption = _section_caption(results, data, "stress_sections", "Mean vertical stress")
+    return Figure("stress_sections", "Vertical stress during draw", caption, panels)
+
+
+def zone_section_figure(results: Results, data: Data) -> Figure:
+    """x-z sections of the probability that a place belongs to a movement zone."""
+    panels = []
+    for t in shown_readings(results)[1:]:
+        zone = results.section("movement_zone_probability", t)
+        x, z = results.fields["x"].values, results.fields["z"].values
+        reach = z[np.nanmax(zone, axis=1) >= 0.5]
+        words = f"movement zone up to {reach.max():.2f} m" if len(reach) else "no movement zone"
+        panel = _section_panel(results, data, "zone_sections", t, words)
+        panel.image(x, z, zone, "probability (–)", 0.0, 1.0, SHARE_COLORS)
+        _mark_base(panel, results)
+        panels.append(panel)
+    caption = _section_caption(
+        results, data, "zone_sections", "Share of replicates in which the place moves or has moved"
+    )
+    return Figure("zone_sections", "Movement zone during draw", caption, panels)
+
+
+def _section_panel(results: Results, data: Data, figure: str, t: int, words: str) -> Panel:
+    x, z = results.fields["x"].values, results.fields["z"].values
+    mass = f"{results.clock[t]:.4g} kg drawn"
+    return Panel(
+        data,
+        figure,
+        mass,
+        "x (m)",
+        "height z (m)",
+        f"Section at {mass}: {words}.",
+        section_size(x[-1] + x[0], z[-1] + z[0], (3.0, 2.9)),
+        bar=True,
+    )
+
+
+def _mark_base(panel: Panel, results: Results) -> None:
+    panel.base_marks("drawpoint", results.experiment.drawpoints, INK, 0)
+    if results.experiment.load_cells:
+        panel.base_marks("load cell", results.load_cells, ORANGE, 1)
+
+
+def _section_caption(results: Results, data: Data, figure: str, words: str):
+    y = float(results.fields["y"].values[results.section_row])
+    assumed = [key for key in ("drawpoints", "load_cells") if key in results.experiment.assumed]
+    return parts(
+        "{}, x–z section at y = {} m, n = {} replicates. Bars under the base mark drawpoints and "
+        "load cells{}.",
+        words,
+        data.number(figure, "", "y", y, unit="m"),
+        data.number(figure, "", "replicates", results.count),
+        f" (assumed, not from the source: {' and '.join(assumed).replace('_', ' ')})"
+        if assumed
+        else "",
+    )
+
+
+def movement_zone_figure(results: Results, data: Data) -> Figure:
+    """Height and width of the movement zone against mass drawn (Fig. 11)."""
+    mass, panels = results.clock, []
+    for part in ("height", "width"):
+        name = f"movement_zone_{part}"
+        mean, low, high = (
+            results.statistics[f"{name}_{statistic}"].values for statistic in ("mean", "p05", "p95")
+        )
+        panel = Panel(
+            data,
+            "movement_zone",
+            part.capitalize(),
+            MASS,
+            f"{part} of the movement zone (m)",
+            f"The movement zone's {part} reaches {mean[-1]:.3g} m at {mass[-1]:.4g} kg.",
+            (3.3, 2.2),
+        )
+        limit = getattr(results.experiment.geometry, part)
+        panel.reference(f"{part} of the model", y=limit, dash="dotted")
+        panel.curve("model, mean", mass, mean, low, high, band=BAND)
+        readings = results.readings(name)
+        x = [r["mass_drawn"] or 0.0 for r in readings]
+        measured_points(panel, results, readings, x, [r["measured"] for r in readings])
+        panel.axes.set(ylim=(0, 1.08 * limit), xlim=(0, mass[-1]))
+        panels.append(panel)
+    given = any(results.readings(f"movement_zone_{part}") for part in ("height", "width"))
+    caption = parts(
+        "Height of the tallest and width along x of the widest connected movement zone, at its "
+        "widest level. n = {} replicates. {}",
+        data.number("movement_zone", "", "replicates", results.count),
+        "" if given else "It was not measured here.",
+    )
+    return Figure("movement_zone", "Growth of the movement zone", caption, panels)
+
+
+def e_min_figure(results: Results, data: Data) -> Figure:
+    """E_min against the height of the movement zone, as used (Fig. 13)."""
+    p, top = results.parameters, results.experiment.geometry.height
+    height = np.linspace(0, top, 101)
+    value = 1 - p.shed_in_zone(height)
+    panel = Panel(
+        data,
+        "E_min",
+        "",
+        "height of the movement zone (m)",
+        "share of load passed on (–)",
+        f"E_min from {value[0]:.4g} at the base to {value[-1]:.4g} at {top:g} m; E = {p.E:.4g}.",
+        (3.6, 2.3),
+    )
+    panel.reference("E, ground at rest", y=p.E, color=GREEN)
+    panel.curve("E_min, movement zone", height, value)
+    reached = float(results.statistics["movement_zone_height_mean"].values[-1])
+    panel.reference("height reached (mean)", x=reached, color=MUTED, dash="dotted")
+    fitted = results.calibration["parameters"].get("E_min", {}).get("calibrated", False)
+    caption = parts(
+        "E_min is the share of its load that a cell of a movement zone passes on, set by the "
+        "height of that zone; ground at rest passes on E = {}. {}. The zones reach {} m.",
+        data.number("E_min", "", "E", p.E),
+        "Its level was calibrated here" if fitted else "It was not calibrated here",
+        data.number("E_min", "", "height reached", reached, 2, "m"),
+    )
+    return Figure("E_min", "Load passed on by flowing ground", caption, [panel])
+
+
+def extraction_figure(results: Results, data: Data) -> Figure:
+    """Where the drawn cells lay before draw, as a share of replicates, x-z section."""
+    nz, ny, nx = results.lattice.shape
+    drawn = results.replicates["drawn_cell"].values.astype(np.float64)
+    count = np.zeros(nz * ny * nx)
+    for cells in drawn:
+        count[cells[cells >= 0].astype(np.int64)] += 1
+    ground = np.isfinite(results.section("movement_zone_probability", 0))
+    share = count.reshape(nz, ny, nx)[:, results.section_row] / len(drawn)
+    share = np.where(ground, share, np.nan)
+    x, z = results.fields["x"].values, results.fields["z"].values
+    reach = z[np.nanmax(share, axis=1) >= 0.5]
+    panel = Panel(
+        data,
+        "extraction_zone",
+        "",
+        "x (m)",
+        "height z (m)",
+        f"Extraction zone up to {reach.max() if len(reach) else 0:.2f} m (half of replicates).",
+        section_size(x[-1] + x[0], z[-1] + z[0], (3.0, 2.9)),
+        bar=True,
+    )
+    panel.image(x, z, share, "probability of being drawn (–)", 0.0, 1.0, SHARE_COLORS)
+    _mark_base(panel, results)
+    caption = parts(
+        "Extraction zone: the share of n = {} replicates in which the ground that lay here before "
+        "draw has come out of a drawpoint, x–z section at y = {} m.",
+        data.number("extraction_zone", "", "replicates", len(drawn)),
+        data.number(
+            "extraction_zone",
+            "",
+            "y",
+            float(results.fields["y"].values[results.section_row]),
+            unit="m",
+        ),
+    )
+    return Figure("extraction_zone", "Where the drawn ground came from", caption, [panel])
+
+
+def drawpoint_table(results: Results, data: Data) -> Table:
+    """Scheduled and drawn mass of each drawpoint, its shortfall, and hang-ups."""
+    experiment, statistics = results.experiment, results.statistics
+    hang_ups = float(statistics["hang_ups_mean"])
+    table = Table(
+        "drawpoints",
+        parts(
+            "What each drawpoint gave: mean over {} replicates. A shortfall is scheduled mass that "
+            "a drawpoint run empty could not give. On average {} voids hung up below other voids.",
+            data.number("drawpoints", "", "replicates", results.count),
+            data.number("drawpoints", "", "hang-ups", hang_ups),
+        ),
+        [
+            "Drawpoint",
+            "Scheduled (kg)",
+            "Drawn (kg)",
+            "sd between replicates (kg)",
+            "Share of schedule",
+            "Shortfall (kg)",
+        ],
+        data,
+    )
+    scheduled = np.zeros(len(experiment.drawpoints))
+    done = 0.0
+    for point, end in visits(experiment):
+        scheduled[point] += end - done
+        done = end
+    which = results.replicates["drawn_drawpoint"].values.astype(np.float64)
+    total = np.where(which >= 0, results.replicates["drawn_mass"].values, 0.0)
+    each = np.diff(total, axis=1, prepend=0.0)
+    drawn = np.array([np.where(which == i, each, 0.0).sum(axis=1) for i in range(len(scheduled))])
+    shortfall = statistics["drawpoint_shortfall_mean"].values
+    for i, point in enumerate(experiment.drawpoints):
+        spread = drawn[i].std(ddof=1) if results.count > 1 else None
+        decimals = decimals_of(scheduled[i] or 1.0)
+        numbers = (
+            (scheduled[i], decimals),
+            (drawn[i].mean(), decimals),
+            (spread, decimals),
+            (drawn[i].mean() / scheduled[i] if scheduled[i] else None, 3),
+            (shortfall[i], decimals),
+        )
+        table.add_numbers(point.name, numbers)
+    return table

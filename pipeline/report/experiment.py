@@ -1,0 +1,478 @@
+"""The page of one experiment, and its data in long format."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from pipeline.calibrate.calibration import hydraulic_radius
+from pipeline.config.experiment import Experiment
+from pipeline.files.atomic import write_text
+from pipeline.files.measured import QUANTITIES
+from pipeline.report.draw_figures import draw_figures, draw_tables
+from pipeline.report.figures import panel_style
+from pipeline.report.page import Badge, Data, Table, decimals_of, parts, render
+from pipeline.report.results import (
+    CALIBRATED,
+    DECLARED,
+    THRESHOLD_SD,
+    THRESHOLD_SHARE,
+    Results,
+    agreement,
+    open_results,
+    quantity_words,
+)
+from pipeline.report.stress_figures import stress_figures
+
+PARAMETERS = {  # name in calibration.json: (words, key in the experiment's file, acts in draw only)
+    "E": ("E: share of its load that a cell at rest passes on", "stress.E", False),
+    "s.mean": ("mean of the spreading exponent s", "stress.s.mean", False),
+    "s.std": ("sd of s from cell to cell", "stress.s.std", False),
+    "R": ("R: relaxation of weights onto the movement zone", "stress.R", True),
+    "E_min": ("E_min: shift of log(1 − E_min)", "stress.E_min", True),
+    "exponent": ("n: flow exponent", "flow.exponent", True),
+    "bulking": ("q: bulking", "flow.bulking", True),
+}
+ASSUMED = Badge("assumed", "warn")
+
+
+def write_report(
+    experiment: Experiment,
+    inputs: Mapping[str, str | Path],
+    report: str | Path,
+    data_file: str | Path,
+) -> None:
+    """Write an experiment's page and the data that it shows.
+
+    Parameters
+    ----------
+    inputs : files of results by name: block_model, calibration, replicates, fields, statistics,
+        validation; all beside the page
+    report, data_file : the HTML page and the CSV with the columns of `page.COLUMNS`
+    """
+    data = Data()
+    with open_results(experiment, inputs) as results, panel_style():
+        names = [Path(path).name for path in (data_file, *inputs.values())]
+        page = report_page(results, data, names)
+    write_text(data_file, data.to_csv())
+    write_text(report, page)
+
+
+def report_page(results: Results, data: Data, file_names: Iterable[str]) -> str:
+    """HTML of the page; `file_names` are linked at its bottom."""
+    experiment = results.experiment
+    is_draw = experiment.is_draw
+    rest = stress_figures(results, data)
+    draw = draw_figures(results, data) if is_draw else []
+    tables = {
+        "parameters": parameter_table(results, data),
+        "readings": reading_table(results, data),
+        "overall": overall_table(results, data),
+        "published": published_table(results, data),
+        "setup": setup_table(results, data),
+        "areas": area_table(results, data),
+        "schedule": schedule_table(results, data),
+    }
+    attributes = results.replicates.attrs
+    return render(
+        "experiment.html.j2",
+        experiment=experiment,
+        kind="draw" if is_draw else "static",
+        label=results.label if experiment.measured else "",
+        verdict=verdict(results, data),
+        notes=[*results.lattice.notes],
+        statements=results.validation["statements"],
+        tables=tables,
+        draw_tables=draw_tables(results, data) if is_draw else [],
+        draw_figures=draw,
+        rest_figures=rest,
+        files=list(file_names),
+        provenance={
+            name: attributes.get(name, "unknown")
+            for name in ("source", "git_revision", "config_sha256", "root_seed", "references")
+        },
+    )
+
+
+def verdict(results: Results, data: Data) -> list[Markup]:
+    """The answer in a few sentences: how many readings agree, with and without calibration."""
+    validation = results.validation
+    fitted = agreement(validation, CALIBRATED)
+    if fitted is None:
+        return [
+            Markup("Nothing was measured: this is a simulation, not calibrated and not validated.")
+        ]
+    readings = validation["readings"]
+    used = sum(reading["used_in_calibration"] for reading in readings)
+    runs = {"calibrated": fitted} if results.is_calibrated else {}
+    runs["as declared"] = agreement(validation, DECLARED)
+    published = results.experiment.published is not None
+    sentences = []
+    for run, found in runs.items():
+        words = {
+            "calibrated": "With the calibrated parameters",
+            "as declared": f"With the {'published' if published else 'declared'} parameters",
+        }[run]
+        sentences.append(
+            parts(
+                "{} the model <strong>{}</strong> with the data ({}): {} of {} values lie within "
+                "{} sd of the value, the largest difference is {} sd.",
+                words,
+                "agrees" if found.agrees else "does not agree",
+                results.label,
+                data.number("verdict", run, "values within", found.within),
+                data.number("verdict", run, "values", found.count),
+                data.number("verdict", "", "threshold", THRESHOLD_SD, 0, "sd"),
+                data.number("verdict", run, "largest difference", found.worst, 2, "sd"),
+            )
+        )
+    if used == len(readings):
+        sentences.append(
+            Markup(
+                "Every value was used in the calibration: that the model reaches them does not "
+                "show that it predicts others."
+            )
+        )
+    elif used:
+        sentences.append(
+            parts(
+                "{} of the values were used in the calibration; the others test it.",
+                data.number("verdict", "", "used in calibration", used),
+            )
+        )
+    comparison = validation["published"] or {}
+    if "mean_reproduced" in comparison:
+        sentences.append(
+            parts(
+                "The published simulated mean is <strong>{}</strong> with the published inputs.",
+                "reproduced" if comparison["mean_reproduced"] else "not reproduced",
+            )
+        )
+    sentences.append(
+        parts(
+            "(Agrees: at least {} of the values within {} sd; sd is the measured standard "
+            "deviation.)",
+            data.number("verdict", "", "threshold share", THRESHOLD_SHARE, 2),
+            data.number("verdict", "", "threshold", THRESHOLD_SD, 0, "sd"),
+        )
+    )
+    return sentences
+
+
+def parameter_table(results: Results, data: Data) -> Table:
+    """Each parameter's start, value, interval and what is to be said of it."""
+    experiment, calibration = results.experiment, results.calibration
+    published = experiment.published is not None
+    table = Table(
+        "parameters",
+        "Parameters of the run. ℓ = c / (1 − E) is the length over which load is shed, K the "
+        "ratio of horizontal to vertical stress that Janssen's law asks for with this ℓ and the "
+        "wall friction angle.",
+        [
+            "Parameter",
+            f"Start, {'published' if published else 'as declared'}",
+            "Used",
+            "90 % interval, from",
+            "to",
+            "Unit",
+            "Remarks",
+        ],
+        data,
+    )
+    unreached = {
+        name
+        for target in calibration["targets"]
+        if target["reached"] is False
+        for name in target["fitted_by"]
+    }
+    for name, (words, key, draw_only) in PARAMETERS.items():
+        entry = calibration["parameters"].get(name)
+        if entry is None or (draw_only and not experiment.is_draw):
+            continue
+        remarks = [Badge("calibrated", "good") if entry["calibrated"] else "kept at its start"]
+        if entry["at_bound"]:
+            remarks.append(Badge("at the end of its range: not a fit", "bad"))
+        if entry.get("interval_open"):
+            remarks.append(Badge("interval open: reaches the end of the range", "warn"))
+        if name in unreached:
+            remarks.append(Badge("its target is out of reach", "bad"))
+        if is_assumed(experiment, key):
+            remarks.append(ASSUMED)
+        table.rows.append(
+            _parameter_row(table, words, entry["start"], entry, entry["unit"], remarks)
+        )
+    for name, words in (
+        ("attenuation_length", "ℓ: length over which load is shed"),
+        ("janssen_K", "K: stress ratio that this ℓ implies"),
+    ):
+        if name in calibration["derived"]:
+            entry = calibration["derived"][name]
+            table.rows.append(
+                _parameter_row(table, words, None, entry, entry["unit"], "follows from E")
+            )
+    return table.without_empty_columns()
+
+
+def _parameter_row(table, words, start, entry, unit, remarks):
+    low, high = entry["interval_90"] or (None, None)
+    values = (start, entry["value"], low, high)
+    cells = (
+        table.number(words, column, value, None, unit)
+        for column, value in zip(table.columns[1:5], values, strict=True)
+    )
+    return [words, *cells, "–" if unit == "1" else unit, remarks]
+
+
+def is_assumed(experiment: Experiment, key: str) -> bool:
+    """Whether a key, one above it or one below it is declared as assumed."""
+    return any(
+        key == entry or key.startswith(f"{entry}.") or entry.startswith(f"{key}.")
+        for entry in experiment.assumed
+    )
+
+
+def reading_table(results: Results, data: Data) -> Table | None:
+    """Every value beside the model, calibrated and as declared; None without values."""
+    readings = results.validation["readings"]
+    if not readings:
+        return None
+    runs = _runs(results)
+    columns = ["Quantity", "Load cell", "Fill height (m)", "Mass drawn (kg)"]
+    columns += [f"Value, {results.label}", "its sd"]
+    for words in runs.values():
+        columns += [f"Model, {words}", f"± se, {words}", f"Error, {words}", f"in sd, {words}"]
+    columns += ["Published simulation", "In calibration"]
+    table = Table(
+        "readings",
+        parts(
+            "Values ({}) beside the model. Error: model less value, in the unit of the quantity "
+            "and in standard deviations of the value (sd). se: standard error of the model's mean "
+            "over {} replicates.",
+            results.label,
+            data.number("readings", "", "replicates", results.count),
+        ),
+        columns,
+        data,
+    )
+    for i, reading in enumerate(readings, start=1):
+        row = f"{i}: {reading['quantity']} {reading['load_cell'] or 'whole base'}"
+        places = decimals_of(reading["measured"])
+        numbers = [
+            (reading["fill_height"], None),
+            (reading["mass_drawn"], None),
+            (reading["measured"], places),
+            (reading["measured_sd"], places),
+        ]
+        for run in runs:
+            found = reading.get(run)
+            numbers += [
+                (found["mean"], places),
+                (found["standard_error"], places),
+                (found["error"], places),
+                (found["error_in_sd"], 2),
+            ]
+        numbers.append((_published_value(results, reading), None))
+        cells = zip(table.columns[2:-1], numbers, strict=True)
+        table.rows.append(
+            [
+                quantity_words(reading["quantity"]),
+                reading["load_cell"] or ("whole base" if results.experiment.load_cells else ""),
+                *(table.number(row, column, *number) for column, number in cells),
+                Badge("yes", "warn") if reading["used_in_calibration"] else "no",
+            ]
+        )
+    return table.without_empty_columns()
+
+
+def _runs(results: Results) -> dict[str, str]:
+    """Key in validation.json and words of each run; one where calibration changed nothing."""
+    if DECLARED not in results.validation["readings"][0]:
+        return {CALIBRATED: "as declared"}
+    return {CALIBRATED: "calibrated", DECLARED: "as declared"}
+
+
+def _published_value(results: Results, reading: Mapping[str, Any]) -> float | None:
+    published = results.validation["published"]
+    height = results.experiment.geometry.height
+    full = reading["load_cell"] is None and reading["fill_height"] in (None, height)
+    if not published or not full or results.experiment.is_draw:
+        return None
+    key = {
+        "vertical_stress": "vertical_stress_mean",
+        "vertical_stress_spatial_std": "vertical_stress_std",
+    }.get(reading["quantity"])
+    return published.get(key)
+
+
+def overall_table(results: Results, data: Data) -> Table | None:
+    """Bias, mean absolute error and rmse by quantity, where one has several readings."""
+    overall = results.validation["overall"]
+    if not any(entry["n"] > 1 for entry in overall[CALIBRATED].values()):
+        return None
+    runs = _runs(results)
+    table = Table(
+        "overall",
+        parts(
+            "Errors over all values of a quantity ({}): model less value, in its unit and in "
+            "standard deviations of the value.",
+            results.label,
+        ),
+        [
+            "Quantity, run",
+            "values",
+            "bias",
+            "mean absolute error",
+            "rmse",
+            "bias (sd)",
+            "mean absolute error (sd)",
+            "rmse (sd)",
+        ],
+        data,
+    )
+    for quantity in QUANTITIES:
+        for run, words in runs.items():
+            entry = overall[run].get(quantity)
+            if entry is None:
+                continue
+            numbers = [(entry["n"], 0)]
+            for suffix, places in (("", None), ("_in_sd", 2)):
+                numbers += [
+                    (entry[f"{name}{suffix}"], places)
+                    for name in ("bias", "mean_absolute_error", "rmse")
+                ]
+            table.add_numbers(f"{quantity_words(quantity)}, {words}", numbers)
+    return table
+
+
+def published_table(results: Results, data: Data) -> Table | None:
+    """What was published beside the experiment, as published, and ours."""
+    published = results.validation["published"]
+    if not published:
+        return None
+    source = published["source"] or results.experiment.source
+    table = Table(
+        "published",
+        parts("Published numbers, as published ({}), beside ours. {}", source, published["note"]),
+        ["Quantity", "Measured", "Simulated, published", "Ours, published parameters", "Ratio"],
+        data,
+    )
+    between = published["measured_std_between"]
+    ours, theirs = published.get("ours_mean"), published["vertical_stress_mean"]
+    rows = (
+        ("mean vertical stress (kPa)", published["measured_mean"], theirs, ours),
+        (
+            f"standard deviation (kPa){f', measured between {between}' if between else ''}",
+            published["measured_std"],
+            published["vertical_stress_std"],
+            published.get("ours_std"),
+        ),
+    )
+    for words, measured, simulated, own in rows:
+        if any(value is not None for value in (measured, simulated)):
+            ratio = own / simulated if own and simulated else None
+            places = decimals_of(simulated or measured)
+            table.add_numbers(
+                words, [(measured, places), (simulated, places), (own, places), (ratio, 3)]
+            )
+    error = published["mean_absolute_error"]
+    if error is not None:
+        entry = results.validation["overall"].get(CALIBRATED, {}).get("vertical_stress")
+        own = entry["mean_absolute_error"] if entry else None
+        table.add_numbers(
+            "mean |experiment − simulation| (kPa)",
+            [(None, None), (error, 2), (own, 2), (None, None)],
+        )
+    if "density_that_gives_published_mean" in published:
+        table.add_numbers(
+            "bulk density (kg/m³): declared, and the one that gives the published mean",
+            [
+                (published["density_declared"], None),
+                (published["density_that_gives_published_mean"], None),
+                (None, None),
+                (None, None),
+            ],
+        )
+    return table.without_empty_columns()
+
+
+def setup_table(results: Results, data: Data) -> Table:
+    """The declared inputs, those that are assumed flagged."""
+    experiment, lattice = results.experiment, results.lattice
+    g, m = experiment.geometry, experiment.material
+    sizes = m.particle_size or (None, None)
+    rows = (
+        ("width along x", g.width, "m", "geometry.width"),
+        ("length along y", g.length, "m", "geometry.length"),
+        ("height", g.height, "m", "geometry.height"),
+        ("diameter of the cylinder", g.diameter, "m", "geometry.mask"),
+        ("cell size c", g.cell_size, "m", "geometry.cell_size"),
+        ("cells along x", lattice.nx, "", "geometry"),
+        ("cells along y", lattice.ny, "", "geometry"),
+        ("cells along z", lattice.nz, "", "geometry"),
+        ("hydraulic radius R_h of the base", hydraulic_radius(experiment), "m", "geometry"),
+        (f"bulk density of {m.name}", m.bulk_density, "kg/m³", "material.bulk_density"),
+        ("particle density", m.particle_density, "kg/m³", "material.particle_density"),
+        ("smallest particle", sizes[0], "m", "material.particle_size"),
+        ("largest particle", sizes[1], "m", "material.particle_size"),
+        ("internal friction angle", m.internal_friction_angle, "°",
+         "material.internal_friction_angle"),
+        ("wall friction angle", experiment.walls and experiment.walls.friction_angle, "°",
+         "walls.friction_angle"),
+        *(
+            (f"effect {effect}: {name}", value, "", f"effects.{effect}.{name}")
+            for effect, parameters in experiment.effects.items()
+            for name, value in parameters.items()
+        ),
+        ("replicates", experiment.replicates, "", "replicates"),
+        ("seed", experiment.seed, "", "seed"),
+    )  # fmt: skip
+    table = Table("setup", "Inputs as declared.", ["Input", "Value", "Unit", "Remarks"], data)
+    for words, value, unit, key in rows:
+        if value is not None:
+            flag = ASSUMED if is_assumed(experiment, key) else ""
+            number = table.number(words, "value", value, None, unit)
+            table.rows.append([words, number, unit, flag])
+    return table.without_empty_columns()
+
+
+def area_table(results: Results, data: Data) -> Table | None:
+    """Drawpoints and load cells; None without any."""
+    experiment = results.experiment
+    columns = ["Name", "x (m)", "y (m)", "width (m)", "length (m)", "Kind", "Remarks"]
+    table = Table("areas", "Drawpoints and load cells: centers and extents.", columns, data)
+    for key, kind in (("drawpoints", "drawpoint"), ("load_cells", "load cell")):
+        for area in getattr(experiment, key):
+            values = (area.x, area.y, area.width, area.length)
+            cells = zip(columns[1:5], values, strict=True)
+            table.rows.append(
+                [
+                    area.name,
+                    *(table.number(area.name, column, value) for column, value in cells),
+                    kind,
+                    ASSUMED if is_assumed(experiment, key) else "",
+                ]
+            )
+    return table.without_empty_columns() if table.rows else None
+
+
+def schedule_table(results: Results, data: Data) -> Table | None:
+    """The draw schedule; None for a static experiment."""
+    if not results.experiment.is_draw:
+        return None
+    columns = ["Line", "mass (kg)", "increment (kg)", "Drawpoints, in turn"]
+    table = Table("schedule", "Draw schedule, line after line.", columns, data)
+    for i, line in enumerate(results.experiment.draw, start=1):
+        table.rows.append(
+            [
+                table.number(f"line {i}", "line", i),
+                table.number(f"line {i}", "mass (kg)", line.mass),
+                table.number(f"line {i}", "increment (kg)", line.increment),
+                ", ".join(line.drawpoints),
+            ]
+        )
+    return table
+
+

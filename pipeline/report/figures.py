@@ -1,0 +1,343 @@
+"""Panels: small matplotlib figures as inline SVG, in the colors of the page's theme.
+
+A panel records what it draws in the page's `Data`. Its colors are the theme's variables, so that
+the same figure reads on a light and on a dark page; text stays text.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import StringIO
+
+import matplotlib
+import numpy as np
+from markupsafe import Markup, escape
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure as MplFigure
+
+from pipeline.report.page import Data
+
+# Stand-ins that matplotlib draws with; each becomes a variable of style.css.
+INK, MUTED, RULE = "#010101", "#010102", "#010103"
+BLUE, ORANGE, GREEN, PURPLE = "#010111", "#010112", "#010113", "#010114"
+_VARIABLES = {
+    INK: "ink",
+    MUTED: "muted",
+    RULE: "rule",
+    BLUE: "blue",
+    ORANGE: "orange",
+    GREEN: "green",
+    PURPLE: "purple",
+}
+DASHES = {"solid": "", "dashed": "5 3", "dotted": "1.5 2.5", "dashdot": "6 2 1.5 2"}
+STRESS_COLORS, SPREAD_COLORS, SHARE_COLORS = "viridis", "cividis", "cividis"
+PIXELS_PER_INCH = 96
+MOST_PIXELS = 20_000  # an image with more cells is shown in block means
+_STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "panel",
+    "font.family": ["DejaVu Sans"],
+    "font.size": 8.5,
+    "text.color": INK,
+    "text.parse_math": False,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.facecolor": "none",
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-4, 6),
+    "grid.color": RULE,
+    "grid.linewidth": 0.6,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "figure.facecolor": "none",
+    "lines.linewidth": 1.6,
+    "image.interpolation": "none",
+}
+
+
+@contextmanager
+def panel_style() -> Iterator[None]:
+    """Within it panels have the page's style, whatever matplotlib is set to elsewhere."""
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_STYLE)
+        yield
+
+
+class Panel:
+    """One set of axes.
+
+    Parameters
+    ----------
+    data, figure : where and under which name its data are recorded
+    title : what tells it from the other panels of the figure; also in the recorded data
+    x, y : names of the axes with units. x is what the data are given over
+    alt : what a reader who cannot see it should know
+    size : of the axes, inches
+    upright : draw x on the vertical axis, increasing downwards (a depth)
+    """
+
+    LEFT, RIGHT, BOTTOM, TOP = 0.72, 0.2, 0.52, 0.14  # margins, inches
+
+    def __init__(
+        self,
+        data: Data,
+        figure: str,
+        title: str,
+        x: str,
+        y: str,
+        alt: str,
+        size: tuple[float, float] = (3.4, 2.3),
+        upright: bool = False,
+        bar: bool = False,
+    ):
+        self.title, self.alt = title, alt
+        self.legend: dict[str, Markup] = {}
+        self._data, self._figure, self._x, self._y = data, figure, x, y
+        self._upright = upright
+        right = 0.95 if bar else self.RIGHT
+        self._width, self._height = self.LEFT + size[0] + right, self.BOTTOM + size[1] + self.TOP
+        self._size = size
+        self._mpl = MplFigure(figsize=(self._width, self._height))
+        FigureCanvasSVG(self._mpl)
+        self.axes = self._mpl.add_axes(self._box(self.LEFT, size[0]))
+        self.axes.set(xlabel=y if upright else x, ylabel=x if upright else y)
+        if upright:
+            self.axes.invert_yaxis()
+
+    def _box(self, left: float, width: float) -> tuple[float, float, float, float]:
+        w, h = self._width, self._height
+        return left / w, self.BOTTOM / h, width / w, self._size[1] / h
+
+    def curve(self, label, x, y, low=None, high=None, color=BLUE, dash="solid", band="") -> None:
+        """A line and, with `low` and `high`, a band that the legend calls `band`."""
+        self._data.add(self._figure, self.title, label, self._x, x, self._y, y, low, high)
+        style = {"color": color, "linestyle": (0, _dashes(dash)) if DASHES[dash] else "solid"}
+        self.axes.plot(*self._turned(x, y), **style)
+        stroke = f'stroke="var(--{_VARIABLES[color]})" stroke-width="2"'
+        if DASHES[dash]:
+            stroke += f' stroke-dasharray="{DASHES[dash]}"'
+        self.legend[label] = _swatch(f'<path d="M0 6H26" {stroke}/>')
+        if low is not None:
+            fill = self.axes.fill_betweenx if self._upright else self.axes.fill_between
+            fill(x, low, high, color=color, alpha=0.22, linewidth=0)
+            self.legend[band] = _band_swatch(color)
+
+    def points(self, label, x, y, low=None, high=None, color=INK, marker="o", filled=True) -> None:
+        """Markers, with error bars from `low` to `high`."""
+        self._data.add(self._figure, self.title, label, self._x, x, self._y, y, low, high)
+        y = np.asarray(y, dtype=np.float64)
+        error = None if low is None else np.abs(np.array([y - low, high - y], dtype=np.float64))
+        self.axes.errorbar(
+            *self._turned(x, y),
+            **{"xerr" if self._upright else "yerr": error},
+            fmt=marker,
+            color=color,
+            markersize=4.5,
+            markerfacecolor=color if filled else "none",
+            elinewidth=1,
+            zorder=3,
+        )
+        self.legend[label] = _marker_swatch(color, marker, filled)
+
+    def dots(self, label, x, names, low=None, high=None, color=INK, marker="o", filled=True):
+        """Markers at `x` beside each name, first name on top, with bars from `low` to `high`."""
+        for i, name in enumerate(names):
+            ends = [None if end is None else [end[i]] for end in (low, high)]
+            self._data.add(self._figure, name, label, "", None, self._x, [x[i]], *ends)
+        x = np.asarray(x, dtype=np.float64)
+        error = None if low is None else np.abs(np.array([x - low, high - x], dtype=np.float64))
+        self.axes.errorbar(
+            x,
+            np.arange(len(names)),
+            xerr=error,
+            fmt=marker,
+            color=color,
+            markersize=5.5,
+            markerfacecolor=color if filled else "none",
+            elinewidth=1,
+            zorder=3,
+        )
+        self.axes.set_yticks(np.arange(len(names)), names)
+        self.axes.set_ylim(len(names) - 0.5, -0.5)
+        self.legend[label] = _marker_swatch(color, marker, filled)
+
+    def reference(self, label, x=None, y=None, color=MUTED, dash="dashed") -> None:
+        """A line across the axes at `x` or at `y`."""
+        self._data.add(
+            self._figure, self.title, label, self._x, None if x is None else [x], self._y, [y]
+        )
+        line = self.axes.axhline if (x is None) != self._upright else self.axes.axvline
+        line(y if x is None else x, color=color, linewidth=1.1, linestyle=(0, _dashes(dash)))
+        stroke = f'stroke="var(--{_VARIABLES[color]})" stroke-dasharray="{DASHES[dash]}"'
+        path = "M0 6H26" if (x is None) != self._upright else "M13 0V12"
+        self.legend[label] = _swatch(f'<path d="{path}" {stroke} stroke-width="1.5"/>')
+
+    def span(self, label, low, high, color=MUTED) -> None:
+        """A shaded range of the horizontal axis."""
+        self._data.add(self._figure, self.title, label, self._x, [low, high], "", [np.nan] * 2)
+        self.axes.axvspan(low, high, color=color, alpha=0.14, linewidth=0)
+        self.legend[label] = _band_swatch(color)
+
+    def image(self, x, y, values, name, low, high, colors=STRESS_COLORS) -> None:
+        """Cells (y, x) in color, at centers `x` and `y`, with a color bar; NaN stays blank."""
+        x, y, values = block_means(x, y, values)
+        for height, row in zip(y, values, strict=True):
+            series = f"{self._y.split(' (')[0]} = {height:.6g} m"
+            self._data.add(self._figure, self.title, series, self._x, x, name, np.round(row, 7))
+        colormap = matplotlib.colormaps[colors].with_extremes(bad=(0, 0, 0, 0))
+        x0, x1 = _ends(x)
+        y0, y1 = _ends(y)
+        self.axes.imshow(
+            np.asarray(values, dtype=np.float64),
+            origin="lower",
+            extent=(x0, x1, y0, y1),
+            aspect="auto",
+            vmin=low,
+            vmax=high,
+            cmap=colormap,
+        )
+        self.axes.grid(False)
+        bar = self._mpl.add_axes(self._box(self.LEFT + self._size[0] + 0.12, 0.11))
+        bar.imshow(
+            np.linspace(0, 1, 128)[:, None],
+            origin="lower",
+            extent=(0, 1, low, high),
+            aspect="auto",
+            cmap=colormap,
+        )
+        bar.grid(False)
+        bar.set_xticks([])
+        bar.yaxis.tick_right()
+        bar.yaxis.set_label_position("right")
+        bar.set_ylabel(name)
+
+    def outline(self, label, x, y, values, level) -> None:
+        """The contour of `values` (y, x) at `level`, over an image."""
+        x, y, values = block_means(x, y, values)
+        if min(values.shape) < 2 or not np.nanmin(values) < level < np.nanmax(values):
+            return
+        for color, width in (("black", 2.2), ("white", 1.1)):
+            self.axes.contour(x, y, values, [level], colors=color, linewidths=width)
+        self.legend[label] = _swatch(
+            '<path d="M0 6H26" stroke="black" stroke-width="4"/>'
+            '<path d="M0 6H26" stroke="white" stroke-width="2"/>'
+        )
+
+    def base_marks(self, label, areas, color, place) -> None:
+        """The extent along x of drawpoints or load cells, as bars in row `place` under the base."""
+        height = self.axes.get_ylim()[1]
+        level = -0.025 * height * (1 + 2 * place)
+        for area in areas:
+            ends = [area.x - area.width / 2, area.x + area.width / 2]
+            self._data.add(
+                self._figure, self.title, f"{label} {area.name}", self._x, ends, self._y, [0, 0]
+            )
+            self.axes.plot(ends, [level] * 2, color=color, linewidth=3.2, solid_capstyle="butt")
+        self.axes.set_ylim(min(self.axes.get_ylim()[0], level - 0.03 * height), height)
+        self.legend[label] = _swatch(
+            f'<path d="M0 6H26" stroke="var(--{_VARIABLES[color]})" stroke-width="4"/>'
+        )
+
+    def _turned(self, x, y):
+        return (y, x) if self._upright else (x, y)
+
+    @property
+    def svg(self) -> Markup:
+        """The panel as inline SVG that scales with the page."""
+        text = StringIO()
+        self._mpl.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+        svg = text.getvalue()
+        svg = svg[svg.index("<svg") :]
+        svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", svg, flags=re.DOTALL)
+        name = re.sub(r"\W+", "-", f"{self._figure}-{self.title}")
+        svg = re.sub(
+            r' id="(?:figure|axes|patch|line2d|text|matplotlib|xtick|ytick|'
+            r'[A-Za-z]*Collection)[\w.]*"',
+            "",
+            svg,
+        )
+        svg = re.sub(r'(id="|url\(#|href="#)', rf"\g<1>{name}-", svg)
+        for color, variable in _VARIABLES.items():
+            svg = svg.replace(color, f"var(--{variable})")
+        svg = re.sub(r"\n\s*", "\n", svg).replace("'DejaVu Sans'", "sans-serif")
+        width = round(self._width * PIXELS_PER_INCH)
+        view_box = re.search(r'viewBox="[^"]*"', svg).group()
+        opening = (
+            f'<svg class="panel" role="img" aria-label="{escape(self.alt)}" {view_box} '
+            f'width="{width}" xmlns="http://www.w3.org/2000/svg" '
+            'xmlns:xlink="http://www.w3.org/1999/xlink">'
+        )
+        return Markup(re.sub(r"<svg[^>]*>", lambda _: opening, svg, count=1))
+
+
+def section_size(width: float, height: float, largest=(3.3, 3.3)) -> tuple[float, float]:
+    """Axes in inches for a section of these extents, at equal scales where it stays readable."""
+    scale = min(largest[0] / width, largest[1] / height)
+    return max(width * scale, 0.75), max(height * scale, 0.9)
+
+
+def block_means(x, y, values):
+    """A field (y, x) with centers, in means over square blocks where it has too many cells."""
+    values = np.asarray(values, dtype=np.float64)
+    block = int(np.ceil(np.sqrt(values.size / MOST_PIXELS)))
+    if block <= 1:
+        return np.asarray(x), np.asarray(y), values
+    ny, nx = (-(-n // block) for n in values.shape)
+    padded = np.full((ny * block, nx * block), np.nan)
+    padded[: values.shape[0], : values.shape[1]] = values
+    blocks = padded.reshape(ny, block, nx, block)
+    filled = np.isfinite(blocks)
+    count = filled.sum(axis=(1, 3))
+    with np.errstate(invalid="ignore"):
+        means = np.where(filled, blocks, 0.0).sum(axis=(1, 3)) / count
+    step_x, step_y = x[1] - x[0], y[1] - y[0]
+    return (
+        x[0] + step_x * (block * np.arange(nx) + (block - 1) / 2),
+        y[0] + step_y * (block * np.arange(ny) + (block - 1) / 2),
+        means,
+    )
+
+
+def _ends(centers) -> tuple[float, float]:
+    half = 0.5 * (centers[1] - centers[0]) if len(centers) > 1 else centers[0]
+    return centers[0] - half, centers[-1] + half
+
+
+def _dashes(name: str) -> list[float]:
+    return [float(length) for length in DASHES[name].split()]
+
+
+def _swatch(shapes: str) -> Markup:
+    return Markup(
+        f'<svg class="swatch" width="26" height="12" aria-hidden="true" fill="none">{shapes}</svg>'
+    )
+
+
+def _band_swatch(color: str) -> Markup:
+    return _swatch(
+        f'<rect width="26" height="12" fill="var(--{_VARIABLES[color]})" opacity="0.25"/>'
+    )
+
+
+_MARKERS = {
+    "o": '<circle cx="13" cy="6" r="4" {}/>',
+    "s": '<rect x="9" y="2" width="8" height="8" {}/>',
+    "D": '<path d="M13 1L18 6L13 11L8 6Z" {}/>',
+    "^": '<path d="M13 1.5L18 10.5H8Z" {}/>',
+}
+
+
+def _marker_swatch(color: str, marker: str, filled: bool) -> Markup:
+    theme = f"var(--{_VARIABLES[color]})"
+    paint = f'stroke="{theme}" stroke-width="1.5" fill="{theme if filled else "none"}"'
+    return _swatch(_MARKERS[marker].format(paint))

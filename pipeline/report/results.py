@@ -1,0 +1,159 @@
+"""The files of one experiment's results, opened for its page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from pipeline.config.experiment import Experiment, LoadCell
+from pipeline.files.atomic import read_json
+from pipeline.files.measured import QUANTITIES
+from pipeline.lattice.block_model import lattice_of
+from pipeline.lattice.grid import Lattice
+from pipeline.parameters import Parameters
+from pipeline.simulate import load_cells
+
+CALIBRATED, DECLARED = "calibrated", "as_declared"
+
+
+@dataclass(frozen=True)
+class Results:
+    """What the rules before the report wrote; the datasets read from disk what is asked for."""
+
+    experiment: Experiment
+    calibration: Mapping[str, Any]
+    validation: Mapping[str, Any]
+    replicates: xr.Dataset
+    statistics: xr.Dataset
+    fields: xr.Dataset
+
+    @property
+    def lattice(self) -> Lattice:
+        """The lattice of the experiment."""
+        return lattice_of(self.experiment)
+
+    @property
+    def load_cells(self) -> tuple[LoadCell, ...]:
+        """The load cells in the order of the files."""
+        return load_cells(self.experiment)
+
+    @property
+    def parameters(self) -> Parameters:
+        """Those that the replicates ran with."""
+        return Parameters.from_document(self.calibration["parameters_used"])
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether any parameter was fitted."""
+        return any(entry["calibrated"] for entry in self.calibration["parameters"].values())
+
+    @property
+    def count(self) -> int:
+        """Number of replicates."""
+        return self.replicates.sizes["replicate"]
+
+    @property
+    def label(self) -> str:
+        """What the data are, as the experiment labels them."""
+        return self.experiment.data_label
+
+    @property
+    def clock(self) -> np.ndarray:
+        """Mass drawn (kg), or fill height (m) of a static experiment, at each reading."""
+        return self.replicates["mass_drawn" if self.experiment.is_draw else "fill_height"].values
+
+    @property
+    def at_rest(self) -> int:
+        """Index of the reading with the model full and nothing drawn."""
+        return 0 if self.experiment.is_draw else len(self.clock) - 1
+
+    @property
+    def section_row(self) -> int:
+        """Index along y of the x-z sections: the middle, or the drawpoint nearest to it."""
+        y = self.fields["y"].values
+        middle = 0.5 * self.experiment.geometry.length
+        centers = [point.y for point in self.experiment.drawpoints]
+        at = min(centers, key=lambda center: abs(center - middle), default=middle)
+        return int(np.argmin(np.abs(y - at - 1e-9)))
+
+    def section(self, name: str, time: int) -> np.ndarray:
+        """A field on (z, x) at `section_row`."""
+        return self.fields[name].isel(time=time, y=self.section_row).values
+
+    def readings(self, quantity: str, load_cell: str | None = None) -> list[Mapping[str, Any]]:
+        """Measured values of a quantity at a load cell (None: of the whole base) beside ours."""
+        return [
+            reading
+            for reading in self.validation["readings"]
+            if reading["quantity"] == quantity and reading["load_cell"] == load_cell
+        ]
+
+
+@contextmanager
+def open_results(experiment: Experiment, files: Mapping[str, str | Path]) -> Iterator[Results]:
+    """Results of an experiment from its files by their names in the rule `report`."""
+    with ExitStack() as stack:
+        datasets = (
+            stack.enter_context(xr.open_dataset(files[name], engine="netcdf4", decode_times=False))
+            for name in ("replicates", "statistics", "fields")
+        )
+        documents = (read_json(files[name]) for name in ("calibration", "validation"))
+        yield Results(experiment, *documents, *datasets)
+
+
+QUANTITY_WORDS = {
+    "vertical_stress": "vertical stress",
+    "vertical_stress_ratio": "vertical stress over that before draw",
+    "vertical_stress_spatial_std": "sd of vertical stress from place to place",
+    "movement_zone_height": "movement zone height",
+    "movement_zone_width": "movement zone width",
+}
+
+
+def quantity_words(quantity: str) -> str:
+    """A quantity with its unit for a reader."""
+    unit = QUANTITIES[quantity]
+    words = QUANTITY_WORDS[quantity]
+    return words if unit == "1" else f"{words} ({unit})"
+
+
+THRESHOLD_SD = 2.0
+THRESHOLD_SHARE = 0.95
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How many of `count` readings lie within `THRESHOLD_SD` measured standard deviations.
+
+    `worst` is the largest |error| in standard deviations. Readings agree when their share within
+    is `THRESHOLD_SHARE` or more.
+    """
+
+    count: int
+    within: int
+    worst: float
+
+    @property
+    def agrees(self) -> bool:
+        """The verdict."""
+        return self.within >= THRESHOLD_SHARE * self.count
+
+
+def agreement(validation: Mapping[str, Any], run: str) -> Agreement | None:
+    """Agreement of a run, `CALIBRATED` or `DECLARED`, with the readings; None without them.
+
+    Where calibration changed nothing, both runs are the same.
+    """
+    errors = [
+        abs(reading.get(run, reading[CALIBRATED])["error_in_sd"])
+        for reading in validation["readings"]
+    ]
+    if not errors:
+        return None
+    return Agreement(len(errors), sum(e <= THRESHOLD_SD for e in errors), max(errors))

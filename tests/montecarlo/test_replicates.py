@@ -1,0 +1,107 @@
+"""Replicates do not depend on who computes them, in which portions, or with how many others."""
+
+import numpy as np
+import pytest
+
+from pipeline.lattice.block_model import build_block_model
+from pipeline.montecarlo.replicates import Execution, replicates_dataset, run_experiment, run_replicates
+from pipeline.parameters import declared_parameters
+from pipeline.simulate import make_setup, visits
+
+
+@pytest.fixture(scope="module", params=["static", "draw"])
+def setup(request, column, drawn):
+    make = column if request.param == "static" else drawn
+    changes = {"filling": {"levels": [0.3]}} if request.param == "static" else {}
+    experiment = make(replicates=10, keep_fields=True, **changes)
+    return make_setup(experiment, build_block_model(experiment))
+
+
+@pytest.fixture(scope="module")
+def alone(setup):
+    """Replicates and fields from one worker."""
+    return _run(setup, Execution())
+
+
+def _run(setup, execution):
+    declared = declared_parameters(setup.experiment)
+    return run_experiment(setup, declared.with_values({"s": 2.0}), declared, execution)
+
+
+def _assert_same_bits(results, others):
+    for result, other in zip(results, others, strict=True):
+        assert set(result.variables) == set(other.variables)
+        for name in result.variables:
+            np.testing.assert_array_equal(result[name], other[name], err_msg=name)
+
+
+@pytest.mark.parametrize("chunk", [1, 3, 8, 100, None])
+@pytest.mark.parametrize("workers", [1, 2])
+def test_no_bit_depends_on_chunks_or_workers(setup, alone, chunk, workers):
+    _assert_same_bits(_run(setup, Execution(workers, chunk=chunk)), alone)
+
+
+@pytest.mark.workflow
+def test_no_bit_depends_on_a_cluster_of_processes(setup, alone):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        results = _run(setup, Execution(2, cluster.scheduler_address))
+    _assert_same_bits(results, alone)
+
+
+def test_a_replicate_does_not_depend_on_how_many_there_are(setup):
+    declared = declared_parameters(setup.experiment)
+    few, _ = run_replicates(setup, declared, 3, fields=False)
+    many, _ = run_replicates(setup, declared, 9, fields=False)
+    few, many = (replicates_dataset(setup, readings) for readings in (few, many))
+    for name in few.data_vars:
+        if few[name].dims[:1] == ("replicate",):
+            kept = few[name].values
+            other = many[name].values[:3]
+            width = min(kept.shape[-1], other.shape[-1]) if "extraction" in few[name].dims else None
+            np.testing.assert_array_equal(kept[..., :width], other[..., :width], err_msg=name)
+
+
+def test_replicates_and_experiments_differ_from_each_other(setup, alone):
+    base = alone[0]["base_vertical_stress_std"].values[:, -1]
+    assert len(set(base)) == len(base)
+    other = make_setup(setup.experiment.at("elsewhere.yaml"), build_block_model(setup.experiment))
+    assert not np.any(np.isin(_run(other, Execution())[0]["base_vertical_stress_std"], base))
+
+
+def test_what_calibration_changed_stands_beside_the_declared_run(setup, alone):
+    declared = declared_parameters(setup.experiment)
+    replicates, _ = run_replicates(setup, declared, 10, fields=False)
+    expected = replicates_dataset(setup, replicates)
+    np.testing.assert_array_equal(
+        alone[0]["vertical_stress_as_declared"], expected["vertical_stress"]
+    )
+    only, _ = run_experiment(setup, declared, declared)
+    assert not any("as_declared" in name for name in only)
+
+
+def test_kept_fields_are_what_the_fields_average(setup, alone):
+    replicates, fields = alone
+    kept = replicates["replicate_vertical_stress"].values
+    stress = np.where(kept > 0, kept, np.nan)
+    some = np.isfinite(stress).any(axis=0)
+    mean = np.nanmean(stress[:, some], axis=0)
+    np.testing.assert_allclose(fields["vertical_stress_mean"].values[some], mean, rtol=1e-5)
+
+
+def test_draw_visits_the_line_in_turn_until_its_mass(drawn):
+    points = [
+        {"name": n, "x": x, "y": 0.25, "width": 0.1, "length": 0.1}
+        for n, x in (("west", 0.1), ("east", 0.5))
+    ]
+    experiment = drawn(
+        drawpoints=points,
+        draw=[
+            {"drawpoints": ["west", "east"], "mass": 2.5, "increment": 1.0},
+            {"drawpoints": ["east"], "mass": 1.0, "increment": 1.0},
+        ],
+        readings={"every": 1.0},
+    )
+    assert list(visits(experiment)) == [(0, 1.0), (1, 2.0), (0, 2.5), (1, 3.5)]
