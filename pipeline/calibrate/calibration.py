@@ -11,10 +11,10 @@ import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 from scipy.optimize import least_squares, minimize
-from scipy.stats import norm, qmc
 
 from pipeline.config.experiment import Experiment
 from pipeline.config.measured import MeasuredRow
@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 REPLICATES = {"static": 20, "draw": 5}  # common random numbers of one evaluation
 SCAN = 24  # points of the scan that finds the start, for each parameter of a group,
 SCAN_REPLICATES = 2  # on the first few of the common random numbers
-Z90 = float(norm.ppf(0.95))
+Z90 = NormalDist().inv_cdf(0.95)
 NOT_SEPARATED = 0.9  # correlation from which two parameters count as not separated
 CLOSE = 1e-3  # relative misfit below which a single target counts as reached
 
@@ -170,10 +170,7 @@ def _fit(model: _Model, parameters: Parameters, names: list[str], scan: bool) ->
     start = np.array([s.forward(parameters.value(n)) for s, n in zip(scales, names, strict=True)])
     start = np.clip(start, low + 1e-9, high - 1e-9)
     if scan:
-        points = qmc.Sobol(len(names), scramble=False).random_base2(
-            math.ceil(math.log2(SCAN * len(names)))
-        )
-        starts = [start, *qmc.scale(points[1:], low, high)]
+        starts = [start, *_scan_points(low, high)]
         start = min(starts, key=lambda u: np.sum(residuals(u, SCAN_REPLICATES) ** 2))
     if scales[0].targets == GEOMETRY:  # whole cells: the sum of squares has steps
         solution = minimize(
@@ -197,6 +194,17 @@ def _fit(model: _Model, parameters: Parameters, names: list[str], scan: bool) ->
         )
     log.info("%s: %s fitted", model.setup.experiment.name, ", ".join(names))
     return at(solution.x)
+
+
+def _scan_points(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Starts that fill the box between the bounds evenly, (point, coordinate)."""
+    if len(low) == 1:
+        return np.linspace(low, high, SCAN + 2)[1:-1]
+    from scipy.stats import qmc
+
+    sobol = qmc.Sobol(len(low), scramble=False)
+    points = sobol.random_base2(math.ceil(math.log2(SCAN * len(low))))
+    return qmc.scale(points[1:], low, high)
 
 
 def _differences(function, u, steps, low, high):

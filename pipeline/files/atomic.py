@@ -49,8 +49,8 @@ def _finite(content: Any) -> Any:
         return {str(key): _finite(value) for key, value in content.items()}
     if isinstance(content, list | tuple):
         return [_finite(value) for value in content]
-    if hasattr(content, "item"):  # a NumPy scalar
-        content = content.item()
+    if hasattr(content, "tolist"):  # a NumPy array or scalar
+        return _finite(content.tolist())
     if isinstance(content, float) and not math.isfinite(content):
         return None
     return content

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
+from numba import njit
 
-from pipeline.lattice.cells import AIR, MOVEMENT, OUTSIDE, VOID
+from pipeline.lattice.cells import MOVEMENT, OUTSIDE, STAGNANT
 from pipeline.lattice.grid import GRAVITY
 from pipeline.simulate import KPA, Setup
 
@@ -49,20 +50,26 @@ class FieldSums:
 
     def observe(self, t: int, code: np.ndarray, cell_id: np.ndarray, load: np.ndarray) -> None:
         """Add one replicate's state at reading `t`; arrays (levels, y, x), `load` in N."""
-        levels = slice(0, code.shape[0])
+        levels = code.shape[0]
         reference, unit, square_unit = _scales(self.setup)
-        stress = load * (KPA / self.setup.lattice.cell_area)
-        granular = load > 0.0
-        off = np.where(granular, stress - reference[levels, None, None], 0.0)
-        self.stress[t, levels] += np.rint(off / unit).astype(np.int64)
-        self.square[t, levels] += np.rint(off * off / square_unit).astype(np.int64)
-        self.granular[t, levels] += granular
-        void = (code == VOID) | (code == AIR)
-        self.movement[t, levels] += (code == MOVEMENT) | void
-        self.void[t, levels] += void
-        weight = np.where(granular, self.setup.cell_weight[np.maximum(cell_id, 0)], 0.0)
-        density = weight / (GRAVITY * self.setup.lattice.cell_volume)
-        self.density[t, levels] += np.rint(density / DENSITY_UNIT).astype(np.int64)
+        lattice = self.setup.lattice
+        _add(
+            code,
+            cell_id,
+            load,
+            self.setup.cell_weight,
+            reference,
+            KPA / lattice.cell_area,
+            1.0 / unit,
+            1.0 / square_unit,
+            1.0 / (GRAVITY * lattice.cell_volume * DENSITY_UNIT),
+            self.stress[t, :levels],
+            self.square[t, :levels],
+            self.granular[t, :levels],
+            self.movement[t, :levels],
+            self.void[t, :levels],
+            self.density[t, :levels],
+        )
 
     def __iadd__(self, other: FieldSums) -> FieldSums:
         self.count += other.count
@@ -122,3 +129,41 @@ def _scales(setup: Setup) -> tuple[np.ndarray, float, float]:
     reference = level_stress * np.arange(lattice.nz, 0, -1)
     scale = 2.0 ** math.ceil(math.log2(level_stress * lattice.nz))
     return reference, scale * STRESS_UNIT, scale**2 * SQUARE_UNIT
+
+
+@njit(nogil=True, cache=True)
+def _add(
+    code,
+    cell_id,
+    load,
+    cell_weight,
+    reference,
+    stress_per_load,
+    per_unit,
+    per_square_unit,
+    density_per_weight,
+    stress,
+    square,
+    granular,
+    movement,
+    void,
+    density,
+):
+    """Add one state (levels, y, x) to the sums of one reading."""
+    nz, ny, nx = code.shape
+    for k in range(nz):
+        for y in range(ny):
+            for x in range(nx):
+                cell = code[k, y, x]
+                if cell in (STAGNANT, MOVEMENT):
+                    off = load[k, y, x] * stress_per_load - reference[k]
+                    stress[k, y, x] += np.int64(np.rint(off * per_unit))
+                    square[k, y, x] += np.int64(np.rint(off * off * per_square_unit))
+                    granular[k, y, x] += 1
+                    weight = cell_weight[cell_id[k, y, x]]
+                    density[k, y, x] += np.int64(np.rint(weight * density_per_weight))
+                    if cell == MOVEMENT:
+                        movement[k, y, x] += 1
+                elif cell != OUTSIDE:
+                    void[k, y, x] += 1
+                    movement[k, y, x] += 1

@@ -8,10 +8,9 @@ from typing import Any
 
 from markupsafe import Markup
 
-from pipeline.calibrate.calibration import hydraulic_radius
 from pipeline.config.experiment import Experiment
+from pipeline.config.measured import QUANTITIES
 from pipeline.files.atomic import write_text
-from pipeline.files.measured import QUANTITIES
 from pipeline.report.draw_figures import draw_figures, draw_tables
 from pipeline.report.figures import panel_style
 from pipeline.report.page import Badge, Data, Table, decimals_of, parts, render
@@ -412,7 +411,8 @@ def setup_table(results: Results, data: Data) -> Table:
         ("cells along x", lattice.nx, "", "geometry"),
         ("cells along y", lattice.ny, "", "geometry"),
         ("cells along z", lattice.nz, "", "geometry"),
-        ("hydraulic radius R_h of the base", hydraulic_radius(experiment), "m", "geometry"),
+        ("hydraulic radius R_h of the base", results.calibration["derived"]["hydraulic_radius"]["value"],
+         "m", "geometry"),
         (f"bulk density of {m.name}", m.bulk_density, "kg/m³", "material.bulk_density"),
         ("particle density", m.particle_density, "kg/m³", "material.particle_density"),
         ("smallest particle", sizes[0], "m", "material.particle_size"),
@@ -474,5 +474,3 @@ def schedule_table(results: Results, data: Data) -> Table | None:
             ]
         )
     return table
-
-

@@ -143,9 +143,7 @@ class Table:
     def add_numbers(self, name: str, numbers: Sequence[tuple[Any, int | None]]) -> None:
         """Add a row: its name and, for each other column, a value and its decimals."""
         cells = zip(self.columns[1:], numbers, strict=True)
-        self.rows.append(
-            [name, *(self.number(name, column, *number) for column, number in cells)]
-        )
+        self.rows.append([name, *(self.number(name, column, *number) for column, number in cells)])
 
     def without_empty_columns(self) -> Table:
         """The table less the columns in which no row has anything."""

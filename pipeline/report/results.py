@@ -12,8 +12,8 @@ import numpy as np
 import xarray as xr
 
 from pipeline.config.experiment import Experiment, LoadCell
+from pipeline.config.measured import QUANTITIES
 from pipeline.files.atomic import read_json
-from pipeline.files.measured import QUANTITIES
 from pipeline.lattice.block_model import lattice_of
 from pipeline.lattice.grid import Lattice
 from pipeline.parameters import Parameters
