@@ -138,7 +138,7 @@ def load_cell_table(results: Results, data: Data) -> Table:
         _, values, _ = measured_ratio(results, cell.name)
         most, least = np.nanargmax(mean[:, i]), np.nanargmin(mean[:, i])
         numbers = (
-            (before[i], None),
+            (before[i], decimals_of(before[i])),
             (mean[most, i], 2),
             (mass[most], 2),
             (mean[least, i], 2),
@@ -204,7 +204,7 @@ def _section_panel(results: Results, data: Data, figure: str, t: int, words: str
         "x (m)",
         "height z (m)",
         f"Section at {mass}: {words}.",
-        section_size(x[-1] + x[0], z[-1] + z[0], (3.0, 2.9)),
+        section_size(x[-1] + x[0], z[-1] + z[0]),
         bar=True,
     )
 
@@ -258,7 +258,7 @@ def movement_zone_figure(results: Results, data: Data) -> Figure:
     given = any(results.readings(f"movement_zone_{part}") for part in ("height", "width"))
     caption = parts(
         "Height of the tallest and width along x of the widest connected movement zone, at its "
-        "widest level. n = {} replicates. {}",
+        "widest level; zones that meet count as one. n = {} replicates. {}",
         data.number("movement_zone", "", "replicates", results.count),
         "" if given else "It was not measured here.",
     )
@@ -313,7 +313,7 @@ def extraction_figure(results: Results, data: Data) -> Figure:
         "x (m)",
         "height z (m)",
         f"Extraction zone up to {reach.max() if len(reach) else 0:.2f} m (half of replicates).",
-        section_size(x[-1] + x[0], z[-1] + z[0], (3.0, 2.9)),
+        section_size(x[-1] + x[0], z[-1] + z[0]),
         bar=True,
     )
     panel.image(x, z, share, "probability of being drawn (–)", 0.0, 1.0, SHARE_COLORS)

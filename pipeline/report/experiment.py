@@ -82,6 +82,7 @@ def report_page(results: Results, data: Data, file_names: Iterable[str]) -> str:
         kind="draw" if is_draw else "static",
         label=results.label if experiment.measured else "",
         verdict=verdict(results, data),
+        threshold=threshold(results, data),
         notes=[*results.lattice.notes],
         statements=results.validation["statements"],
         tables=tables,
@@ -150,15 +151,19 @@ def verdict(results: Results, data: Data) -> list[Markup]:
                 "reproduced" if comparison["mean_reproduced"] else "not reproduced",
             )
         )
-    sentences.append(
-        parts(
-            "(Agrees: at least {} of the values within {} sd; sd is the measured standard "
-            "deviation.)",
-            data.number("verdict", "", "threshold share", THRESHOLD_SHARE, 2),
-            data.number("verdict", "", "threshold", THRESHOLD_SD, 0, "sd"),
-        )
-    )
     return sentences
+
+
+def threshold(results: Results, data: Data) -> Markup | None:
+    """What the verdict means by "agrees"; None where nothing was measured."""
+    if not results.validation["readings"]:
+        return None
+    return parts(
+        "Agrees: at least {} % of the values lie within {} sd. sd is the standard deviation of "
+        "the value as given, with the packings' scatter where the value holds a single packing.",
+        data.number("verdict", "", "least share of values", 100 * THRESHOLD_SHARE, 0, "%"),
+        data.number("verdict", "", "threshold", THRESHOLD_SD, 0, "sd"),
+    )
 
 
 def parameter_table(results: Results, data: Data) -> Table:
@@ -174,8 +179,8 @@ def parameter_table(results: Results, data: Data) -> Table:
             "Parameter",
             f"Start, {'published' if published else 'as declared'}",
             "Used",
-            "90 % interval, from",
-            "to",
+            "90 % interval: from",
+            "90 % interval: to",
             "Unit",
             "Remarks",
         ],
@@ -240,10 +245,10 @@ def reading_table(results: Results, data: Data) -> Table | None:
         return None
     runs = _runs(results)
     columns = ["Quantity", "Load cell", "Fill height (m)", "Mass drawn (kg)"]
-    columns += [f"Value, {results.label}", "its sd"]
+    columns += [f"Data, {results.label}: value", f"Data, {results.label}: sd"]
     for words in runs.values():
-        columns += [f"Model, {words}", f"± se, {words}", f"Error, {words}", f"in sd, {words}"]
-    columns += ["Published simulation", "In calibration"]
+        columns += [f"Model, {words}: {name}" for name in ("mean", "se", "error", "in sd")]
+    columns += ["Published simulation", "Used in calibration"]
     table = Table(
         "readings",
         parts(
@@ -321,13 +326,12 @@ def overall_table(results: Results, data: Data) -> Table | None:
         ),
         [
             "Quantity, run",
-            "values",
-            "bias",
-            "mean absolute error",
-            "rmse",
-            "bias (sd)",
-            "mean absolute error (sd)",
-            "rmse (sd)",
+            "Values",
+            *(
+                f"{group}: {name}"
+                for group in ("Error", "Error in sd")
+                for name in ("bias", "mean absolute", "rmse")
+            ),
         ],
         data,
     )
@@ -384,16 +388,6 @@ def published_table(results: Results, data: Data) -> Table | None:
             "mean |experiment − simulation| (kPa)",
             [(None, None), (error, 2), (own, 2), (None, None)],
         )
-    if "density_that_gives_published_mean" in published:
-        table.add_numbers(
-            "bulk density (kg/m³): declared, and the one that gives the published mean",
-            [
-                (published["density_declared"], None),
-                (published["density_that_gives_published_mean"], None),
-                (None, None),
-                (None, None),
-            ],
-        )
     return table.without_empty_columns()
 
 
@@ -402,6 +396,7 @@ def setup_table(results: Results, data: Data) -> Table:
     experiment, lattice = results.experiment, results.lattice
     g, m = experiment.geometry, experiment.material
     sizes = m.particle_size or (None, None)
+    radius = results.calibration["derived"]["hydraulic_radius"]["value"]
     rows = (
         ("width along x", g.width, "m", "geometry.width"),
         ("length along y", g.length, "m", "geometry.length"),
@@ -411,8 +406,7 @@ def setup_table(results: Results, data: Data) -> Table:
         ("cells along x", lattice.nx, "", "geometry"),
         ("cells along y", lattice.ny, "", "geometry"),
         ("cells along z", lattice.nz, "", "geometry"),
-        ("hydraulic radius R_h of the base", results.calibration["derived"]["hydraulic_radius"]["value"],
-         "m", "geometry"),
+        ("hydraulic radius R_h of the base", radius, "m", "geometry"),
         (f"bulk density of {m.name}", m.bulk_density, "kg/m³", "material.bulk_density"),
         ("particle density", m.particle_density, "kg/m³", "material.particle_density"),
         ("smallest particle", sizes[0], "m", "material.particle_size"),

@@ -86,7 +86,7 @@ class Panel:
     upright : draw x on the vertical axis, increasing downwards (a depth)
     """
 
-    LEFT, RIGHT, BOTTOM, TOP = 0.72, 0.2, 0.52, 0.14  # margins, inches
+    LEFT, RIGHT, BOTTOM, TOP = 0.66, 0.2, 0.52, 0.14  # margins, inches
 
     def __init__(
         self,
@@ -104,7 +104,7 @@ class Panel:
         self.legend: dict[str, Markup] = {}
         self._data, self._figure, self._x, self._y = data, figure, x, y
         self._upright = upright
-        right = 0.95 if bar else self.RIGHT
+        right = 0.82 if bar else self.RIGHT
         self._width, self._height = self.LEFT + size[0] + right, self.BOTTOM + size[1] + self.TOP
         self._size = size
         self._mpl = MplFigure(figsize=(self._width, self._height))
@@ -216,6 +216,7 @@ class Panel:
             cmap=colormap,
         )
         bar.grid(False)
+        bar.spines[:].set_visible(False)
         bar.set_xticks([])
         bar.yaxis.tick_right()
         bar.yaxis.set_label_position("right")
@@ -280,7 +281,7 @@ class Panel:
         return Markup(re.sub(r"<svg[^>]*>", lambda _: opening, svg, count=1))
 
 
-def section_size(width: float, height: float, largest=(3.3, 3.3)) -> tuple[float, float]:
+def section_size(width: float, height: float, largest=(2.9, 2.5)) -> tuple[float, float]:
     """Axes in inches for a section of these extents, at equal scales where it stays readable."""
     scale = min(largest[0] / width, largest[1] / height)
     return max(width * scale, 0.75), max(height * scale, 0.9)

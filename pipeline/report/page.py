@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 COLUMNS = ("figure", "panel", "series", "x_name", "x", "y_name", "y", "y_low", "y_high")
 MISSING = "–"
@@ -46,18 +46,15 @@ class Number:
     value: float | None
     decimals: int | None = None
 
-    def __html__(self) -> str:
+    def __html__(self) -> Markup:
         stored = plain(self.value)
         if not stored:
-            return MISSING
-        return f'<data value="{stored}">{self.shown()}</data>'
+            return Markup(MISSING)
+        return Markup('<data value="{}">{}</data>').format(stored, self.shown())
 
     def shown(self) -> str:
         """The number as a reader sees it."""
-        if self.decimals is None:
-            text = f"{self.value:.4g}"
-        else:
-            text = f"{self.value:.{self.decimals}f}"
+        text = format(self.value, ".4g" if self.decimals is None else f".{self.decimals}f")
         if not float(text):
             text = text.lstrip("-")
         return text.replace("-", "−")
@@ -70,8 +67,8 @@ class Badge:
     text: str
     kind: str = "note"
 
-    def __html__(self) -> str:
-        return f'<span class="badge {self.kind}">{escape(self.text)}</span>'
+    def __html__(self) -> Markup:
+        return Markup('<span class="badge {}">{}</span>').format(self.kind, self.text)
 
 
 class Data:
@@ -128,7 +125,10 @@ def _number_or_text(cell: str) -> float | str:
 
 @dataclass
 class Table:
-    """A table; a cell is a text, a `Number`, a `Badge`, or a list of them."""
+    """A table; a cell is a text, a `Number`, a `Badge`, or a list of them.
+
+    Neighboring columns named "GROUP: NAME" stand under a common head.
+    """
 
     name: str
     caption: Any
@@ -144,6 +144,18 @@ class Table:
         """Add a row: its name and, for each other column, a value and its decimals."""
         cells = zip(self.columns[1:], numbers, strict=True)
         self.rows.append([name, *(self.number(name, column, *number) for column, number in cells)])
+
+    @property
+    def heads(self) -> list[tuple[str, list[str]]]:
+        """(group, names of its columns), in order; the group is empty for a column of its own."""
+        heads: list[tuple[str, list[str]]] = []
+        for column in self.columns:
+            group, _, name = column.rpartition(": ")
+            if group and heads and heads[-1][0] == group:
+                heads[-1][1].append(name)
+            else:
+                heads.append((group, [name]))
+        return heads
 
     def without_empty_columns(self) -> Table:
         """The table less the columns in which no row has anything."""

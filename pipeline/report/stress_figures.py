@@ -25,13 +25,13 @@ STRESS = "vertical stress (kPa)"
 
 
 def stress_figures(results: Results, data: Data) -> list[Figure]:
-    """Sections, profile, filling, convergence, spreading weights and lattice influence."""
+    """Sections, profile, filling, spreading weights, lattice influence and convergence."""
     figures = [section_figure(results, data), profile_figure(results, data)]
     if not results.experiment.is_draw and len(results.clock) > 1:
         figures.append(filling_figure(results, data))
-    figures.append(convergence_figure(results, data))
     figures.append(spreading_figure(results, data))
     figures.append(lattice_figure(results, data))
+    figures.append(convergence_figure(results, data))
     return figures
 
 
@@ -227,9 +227,9 @@ def convergence_figure(results: Results, data: Data) -> Figure:
     replicates = results.replicates
     n = np.arange(1, results.count + 1)
     panels = []
-    for title, name in (
-        ("Mean over the base", "base_vertical_stress"),
-        ("Sd from place to place on the base", "base_vertical_stress_std"),
+    for title, words, name in (
+        ("Mean over the base", "mean stress (kPa)", "base_vertical_stress"),
+        ("Sd from place to place on the base", "sd of stress (kPa)", "base_vertical_stress_std"),
     ):
         values = replicates[name].values[:, last]
         mean = np.cumsum(values) / n
@@ -240,7 +240,7 @@ def convergence_figure(results: Results, data: Data) -> Figure:
             "convergence",
             title,
             "number of replicates n",
-            f"{title[0].lower()}{title[1:]} (kPa)",
+            words,
             f"{title}: running mean {mean[-1]:.4g} kPa after {results.count} replicates.",
             (3.3, 2.0),
         )
@@ -318,12 +318,14 @@ def lattice_figure(results: Results, data: Data) -> Figure:
     panel.curve("eq 5 as printed (once more × E)", n, E * exact, color=ORANGE, dash="dashed")
     panel.points("this model", [cells], [here], color=INK)
     panel.axes.set_xscale("log")
+    panel.axes.xaxis.set_major_formatter("{x:g}")
+    panel.axes.xaxis.minorticks_off()
     panel.axes.set_ylim(0, 1.05)
     caption = parts(
         "Every cell passes on the share E = {} of its load, so E belongs to a cell size: the more "
         "cells in a column, the less of its weight P_T reaches the base. Eq. 5 of the paper has "
         "one factor E more than its eqs 1 and 2 add up to. The model has n = {} cells and {} of "
-        "its weight on the base, as a uniform column at rest.",
+        "its weight on the base, as a uniform column with this E alone.",
         data.number("lattice", "", "E", E),
         data.number("lattice", "", "n", cells),
         data.number("lattice", "", "P_V / P_T", here, 3),
