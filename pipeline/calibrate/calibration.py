@@ -226,6 +226,11 @@ def _only_measured(setup: Setup, rows: Sequence[MeasuredRow]) -> Setup:
         setup,
         to_the_end=False,
         fill_levels=tuple(h for h in setup.fill_levels if _near(h, levels)),
+        true_levels=tuple(
+            true
+            for h, true in zip(setup.fill_levels, setup.true_levels, strict=True)
+            if _near(h, levels)
+        ),
         masses=tuple(m for m in setup.masses if _near(m, masses)),
     )
 
