@@ -43,6 +43,25 @@ BALANCE_TOLERANCE = 1e-6
 Observer = Callable[[int, np.ndarray, np.ndarray, np.ndarray], None]
 
 
+class Sweep(NamedTuple):
+    """One sweep: what it took, see `stress.stress_sweep`, and the loads that it returned, N."""
+
+    weight: np.ndarray
+    shed_fraction: np.ndarray
+    edge: np.ndarray
+    corner: np.ndarray
+    code: np.ndarray
+    relaxation: float
+    top_fraction: float
+    coupling: Coupling
+    load: np.ndarray
+    base_load: np.ndarray
+
+
+# called at each reading with (time index, its sweep)
+Inspector = Callable[[int, Sweep], None]
+
+
 @dataclass(frozen=True)
 class Setup:
     """What stays the same from replicate to replicate.
@@ -180,6 +199,7 @@ def simulate(
     packing: np.random.Generator,
     flow: np.random.Generator | None = None,
     observe: Observer | None = None,
+    inspect: Inspector | None = None,
 ) -> Readings:
     """Run one replicate and read its base.
 
@@ -188,6 +208,7 @@ def simulate(
     packing : stream that draws s for each cell, and anew where a cell has moved
     flow : stream of the void diffusion; a draw experiment needs it
     observe : called at each reading with the state of the lattice, to reduce fields in place
+    inspect : called at each reading with its sweep, whose arrays the next one may reuse
 
     Raises
     ------
@@ -195,17 +216,17 @@ def simulate(
         If a sweep does not return the weight that was put in.
     """
     if setup.masses:
-        return _simulate_draw(setup, parameters, packing, flow, observe)
-    return _simulate_filling(setup, parameters, packing, observe)
+        return _simulate_draw(setup, parameters, packing, flow, observe, inspect)
+    return _simulate_filling(setup, parameters, packing, observe, inspect)
 
 
-def _simulate_filling(setup, parameters, packing, observe):
+def _simulate_filling(setup, parameters, packing, observe, inspect):
     lattice = setup.lattice
     ground = _Ground(setup, parameters, packing)
     shape = lattice.shape
     weight, shed = (a.reshape(shape) for a in (ground.cells.weight, ground.cells.shed_fraction))
     identity = np.arange(weight.size, dtype=np.int32).reshape(shape)
-    out = _Recorder(setup, ground.negative_share)
+    out = _Recorder(setup, ground.negative_share, observe is not None, inspect)
     for t, height in enumerate(setup.true_levels):
         levels, fraction = levels_of(height, lattice.cell_size)
         if levels == lattice.nz:  # the top level's density is scaled in the block model already
@@ -214,27 +235,28 @@ def _simulate_filling(setup, parameters, packing, observe):
         cells = _Cells(weight[:levels], shed[:levels], ground.edge[:levels], ground.corner[:levels])
         if setup.acts_on("state"):
             cells, coupling = ground.at_rest(code, cells.with_top(fraction))
-            load = out.sweep(t, cells, code, parameters.R, 1.0, observe is not None, coupling)
+            load = out.sweep(t, cells, code, parameters.R, 1.0, coupling)
         else:
-            load = out.sweep(t, cells, code, parameters.R, fraction, observe is not None)
+            load = out.sweep(t, cells, code, parameters.R, fraction)
         if observe is not None:
             observe(t, code, identity[:levels], load)
     return out.finish()
 
 
-def _simulate_draw(setup, parameters, packing, flow, observe):
+def _simulate_draw(setup, parameters, packing, flow, observe, inspect):
     lattice, dtype = setup.lattice, setup.cell_weight.dtype
     ground = _Ground(setup, parameters, packing)
+    cell_mass = ground.cells.weight.astype(np.float64) / GRAVITY
     state = new_flow_state(setup.code, setup.openings)
     weight, shed = np.zeros(lattice.shape, dtype), np.zeros(lattice.shape, dtype)
-    out = _Recorder(setup, ground.negative_share)
+    out = _Recorder(setup, ground.negative_share, observe is not None, inspect)
     readings = out.readings
     readings.movement_zone_height = np.zeros(setup.times)
     readings.movement_zone_width = np.zeros(setup.times)
     readings.replicate_mass_drawn = np.zeros(setup.times)
     readings.drawpoint_shortfall = np.zeros(len(setup.openings))
-    for t in _draw(setup, parameters, state, flow, readings.drawpoint_shortfall):
-        ground.redraw(state.moved, state.cell_id)
+    for t in _draw(setup, parameters, cell_mass, state, flow, readings.drawpoint_shortfall):
+        ground.redraw(state.moved, state.cell_id, setup.masses[t])
         heights, widths = zone_geometry(state, lattice.cell_size)
         shed_zone = parameters.shed_in_zone(heights).astype(dtype)
         place_cells(
@@ -250,7 +272,7 @@ def _simulate_draw(setup, parameters, packing, flow, observe):
         cells, coupling = _Cells(weight, shed, ground.edge, ground.corner), UNCOUPLED
         if setup.acts_on("state"):
             cells, coupling = ground.in_draw(state, heights, cells)
-        load = out.sweep(t, cells, state.code, parameters.R, 1.0, observe is not None, coupling)
+        load = out.sweep(t, cells, state.code, parameters.R, 1.0, coupling)
         drawn = state.counters[DRAWN_CELLS]
         readings.movement_zone_height[t] = heights.max()
         readings.movement_zone_width[t] = widths.max()
@@ -268,6 +290,7 @@ def _simulate_draw(setup, parameters, packing, flow, observe):
 def _draw(
     setup: Setup,
     parameters: Parameters,
+    cell_mass: np.ndarray,
     state: FlowState,
     flow: np.random.Generator,
     shortfall: np.ndarray,
@@ -277,7 +300,6 @@ def _draw(
     A drawpoint with no granular cell left leaves the rest of its visit undrawn: what is missing
     is added to `shortfall` (drawpoint) in kg, and the schedule goes on.
     """
-    cell_mass = setup.cell_weight.astype(np.float64) / GRAVITY
     chances = climb_chances(parameters.exponent)
     missing = 0.0
     t = 0
@@ -365,12 +387,16 @@ class _Ground:
         )
         if setup.acts_on("packing"):
             cells = apply(setup.effects, "packing", replace(cells, random=packing.spawn(1)[0]))
+            stored = {n: getattr(cells, n).astype(self._dtype) for n in ("weight", "shed_fraction")}
+            cells = replace(cells, **stored)
         self.cells = cells
         s = self._draw(setup.code.shape, np.arange(weight.size).reshape(setup.code.shape))
         self.edge, self.corner = spreading_weights(s, self._rule, self._dtype)
         ground = setup.code == STAGNANT
         self.negative_share = np.count_nonzero(ground & (s < 0)) / np.count_nonzero(ground)
-        self._rest = np.zeros(setup.code.shape if setup.acts_on("state") else 0, dtype=np.int32)
+        self._increments = np.array([0.0, *(end for _, end in visits(setup.experiment))])
+        self._drawn = 0.0  # increments so far, and when the cell at each place came
+        self._came = np.zeros(setup.code.shape if setup.acts_on("state") else 0)
 
     @property
     def _rule(self) -> str:
@@ -383,8 +409,8 @@ class _Ground:
         shift = self.cells.s_shift
         return s if np.ndim(shift) == 0 else s + shift[identity]
 
-    def redraw(self, moved: np.ndarray, cell_id: np.ndarray) -> None:
-        """New s where `moved` is set, in array order; clears the flags."""
+    def redraw(self, moved: np.ndarray, cell_id: np.ndarray, mass: float) -> None:
+        """New s where `moved` is set, in array order, after `mass` kg; clears the flags."""
         places = np.flatnonzero(moved)
         s = self._draw(len(places), np.maximum(cell_id.flat[places], 0))
         weights = spreading_weights(s, self._rule, self._dtype)
@@ -392,15 +418,16 @@ class _Ground:
             old = self.edge.flat[places], self.corner.flat[places]
             weights = _mixed(old, weights, self.cells.persistence)
         self.edge.flat[places], self.corner.flat[places] = weights
-        if self._rest.size:
-            self._rest += 1
-            self._rest.flat[places] = 0
+        self._drawn = np.interp(mass, self._increments, np.arange(len(self._increments)))
+        if self._came.size:
+            self._came.flat[places] = self._drawn
         moved[:] = False
 
     def at_rest(self, code: np.ndarray, cells: _Cells) -> tuple[_Cells, Coupling]:
         """Cells and coupling of a filling, through the state effects."""
         nowhere = np.full(code.shape, -1, dtype=np.int16)
-        return self._through_effects(code, nowhere, np.zeros(0), cells.shed_fraction, cells)
+        own = cells.shed_fraction
+        return self._through_effects(code, nowhere, nowhere, np.zeros(0), own, cells)
 
     def in_draw(
         self, state: FlowState, heights: np.ndarray, cells: _Cells
@@ -408,17 +435,18 @@ class _Ground:
         """Cells and coupling during draw, through the state effects."""
         root = np.where(state.zone >= 0, state.zone_root[state.zone], np.int16(-1))
         own = self.cells.shed_fraction[np.maximum(state.cell_id, 0)]
-        return self._through_effects(state.code, root, heights, own, cells)
+        return self._through_effects(state.code, state.zone, root, heights, own, cells)
 
-    def _through_effects(self, code, zone_root, heights, own_shed, cells):
+    def _through_effects(self, code, zone, zone_root, heights, own_shed, cells):
         state = State(
             experiment=self._setup.experiment,
             lattice=self._setup.lattice,
             code=code,
+            zone=zone,
             zone_root=zone_root,
             zone_height=heights,
             own_shed=own_shed,
-            steps_at_rest=self._rest[: code.shape[0]],
+            steps_at_rest=self._drawn - self._came[: code.shape[0]],
             relaxation=self._parameters.R,
             coupling=UNCOUPLED,
             **cells._asdict(),
@@ -445,6 +473,8 @@ class _Recorder:
 
     setup: Setup
     negative_s_share: float
+    keeps_load: bool
+    inspect: Inspector | None
     readings: Readings = field(init=False)
 
     def __post_init__(self):
@@ -471,11 +501,12 @@ class _Recorder:
                 readings.vertical_stress = one.effect.readings(reading, one.values)
         return readings
 
-    def sweep(self, t, cells, code, relaxation, top_fraction, keep, coupling=UNCOUPLED):
-        """One sweep, read at time `t`; returns the carried load (z, y, x) in N if `keep`."""
+    def sweep(self, t, cells, code, relaxation, top_fraction, coupling=UNCOUPLED):
+        """One sweep, read at time `t`; returns the carried load (z, y, x) in N where kept."""
         setup, readings = self.setup, self.readings
         fields = readings.replicate_vertical_stress
-        shape = code.shape if keep or fields is not None else (0, 0, 0)
+        keep = self.keeps_load or self.inspect is not None or fields is not None
+        shape = code.shape if keep else (0, 0, 0)
         load = np.zeros(shape, dtype=setup.cell_weight.dtype)
         base_load = np.zeros(code.shape[1:])
         weight, shed = stress_sweep(
@@ -495,4 +526,8 @@ class _Recorder:
         readings.weight_balance_error[t] = error
         if fields is not None:
             fields[t, : len(load)] = load / setup.lattice.cell_area * KPA
+        if self.inspect is not None:
+            self.inspect(
+                t, Sweep(*cells, code, relaxation, top_fraction, coupling, load, base_load)
+            )
         return load

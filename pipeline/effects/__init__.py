@@ -14,6 +14,7 @@ Stages, in this order; within one, by `order` and then by name, whatever the ord
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -50,7 +51,8 @@ class Effect:
 
     `scope` says what shares one value: study, material, experiment or load_cell. `moves` says in
     words what a larger value does to readings. `options` are choices by name, the first one the
-    default. `example` has non-neutral values that show what the effect does.
+    default. `example` has non-neutral values that show what the effect does. `needs` gives the
+    keys that an experiment must declare for it (`walls.friction_angle`), from the effect's values.
     """
 
     description: str
@@ -61,6 +63,7 @@ class Effect:
     moves: str
     example: Values
     options: Mapping[str, tuple] = field(default_factory=dict)
+    needs: Callable[[Values], tuple[str, ...]] = lambda values: ()
     order: int = 0
     geometry: Callable[[float, Values], float] | None = None
     packing: Callable[[Packing, Values], Packing] | None = None
@@ -99,7 +102,7 @@ class Packing:
 
     `weight` (N) and `shed_fraction` (1 − E) belong to the cell and travel with it, as does the
     shift `s_shift` of its spreading exponent. `persistence` is the share of a place's weights β
-    that stays when another cell moves in. `random` is the stream of the effects.
+    that stays when another cell moves in. `random` is the root of the effects' streams.
     """
 
     experiment: Any
@@ -111,20 +114,28 @@ class Packing:
     persistence: float
     random: np.random.Generator
 
+    def stream(self, name: str) -> np.random.Generator:
+        """The stream of the effect `name`, the same whichever other effects are on."""
+        seed = self.random.bit_generator.seed_seq
+        key = (*seed.spawn_key, zlib.crc32(name.encode()))
+        return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))
+
 
 @dataclass(frozen=True)
 class State:
     """The lattice at one reading; arrays (z, y, x) over the filled levels.
 
-    `zone_root` is the label of the connected movement zone at a place (−1: none) and
-    `zone_height` (label) its height in m; `own_shed` is 1 − E of the cell as in stagnant ground;
-    `steps_at_rest` counts the readings since a cell last came to the place. `weight`,
-    `shed_fraction`, `edge`, `corner` and `coupling` are what the sweep takes.
+    `zone` is the drawpoint whose void loosened a place, `zone_root` the label of the connected
+    movement zone that it belongs to (−1: none) and `zone_height` (label) its height in m;
+    `own_shed` is 1 − E of the cell as in stagnant ground; `steps_at_rest` counts the increments
+    drawn since a cell was last seen to come to the place. `weight`, `shed_fraction`, `edge`,
+    `corner` and `coupling` are what the sweep takes.
     """
 
     experiment: Any
     lattice: Any
     code: np.ndarray
+    zone: np.ndarray
     zone_root: np.ndarray
     zone_height: np.ndarray
     own_shed: np.ndarray
@@ -155,6 +166,18 @@ def effects() -> dict[str, Effect]:
     """All effects by name, sorted."""
     names = sorted(m.name for m in iter_modules(__path__) if not m.name.startswith("_"))
     return {name: import_module(f"{__name__}.{name}").EFFECT for name in names}
+
+
+def lacking(effect: Effect, experiment: Any, values: Values) -> tuple[str, ...]:
+    """Keys that the effect needs and the experiment does not declare; () where it can act."""
+    missing = []
+    for key in effect.needs(values):
+        found = experiment
+        for part in key.split("."):
+            found = getattr(found, part, None)
+        if found is None:
+            missing.append(key)
+    return tuple(missing)
 
 
 def declared_effects(experiment: Any) -> tuple[Active, ...]:

@@ -234,7 +234,7 @@ def _sweep(
                 if cell in (STAGNANT, MOVEMENT):
                     fraction = np.float64(shed_fraction[k, y, x])
                     by_stress = 1.0
-                    if coupling.slope != 0.0:
+                    if coupling.slope != 0.0 and carried[y, x] > 0.0:
                         by_stress = (carried[y, x] / coupling.reference) ** coupling.slope
                         fraction = min(fraction * by_stress, 1.0)
                     lost = carried[y, x] * fraction
