@@ -86,7 +86,8 @@ class Coupling(NamedTuple):
 
     Fields that are arrays are (z, y, x), or (0, 0, 0) where off.
 
-    - ``relaxation``: R of each receiver in the movement zone, instead of one R.
+    - ``relaxation``: R of each receiver in the movement zone, instead of one R. Where R differs
+      from receiver to receiver, it matters without a stagnant one among them too.
     - ``straight``: factor on the weight of each cell's receiver straight below.
     - ``lean_x``, ``lean_y``: κ; the weight of a receiver at offset (x, y) is multiplied by
       exp(κ_x x + κ_y y).
