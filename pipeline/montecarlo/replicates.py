@@ -56,7 +56,7 @@ class Execution:
     """
 
     workers: int = 1
-    scheduler: str | None = None
+    scheduler: str = ""
     chunk: int | None = None
 
 
@@ -149,7 +149,7 @@ def replicates_dataset(
 @contextmanager
 def dask_session(execution: Execution) -> Iterator[None]:
     """The only place that configures Dask: a thread pool, or a client of a running cluster."""
-    if execution.scheduler is None:
+    if not execution.scheduler:
         scheduler = "threads" if execution.workers > 1 else "synchronous"
         with dask.config.set(scheduler=scheduler, num_workers=execution.workers):
             yield

@@ -42,7 +42,7 @@ def section_figure(results: Results, data: Data) -> Figure:
     width, length, height = x[-1] + x[0], y[-1] + y[0], z[-1] + z[0]
     views = [("section", "height z (m)", z, results.section, section_size(width, height))]
     base = lambda name, time: fields[name].isel(time=time, z=0).values  # noqa: E731
-    views.append(("base", "y (m)", y, base, section_size(width, length)))
+    views.append(("base", "y (m)", y, base, section_size(width, length, (2.1, 2.1))))
     panels = []
     for view, vertical, centers, values_of, size in views:
         for name, words, colors in (
@@ -162,8 +162,7 @@ def measured_points(panel: Panel, results: Results, readings, x, values, low=Non
         sd = [readings[i]["measured_sd"] for i in at]
         value = np.array([values[i] for i in at], dtype=np.float64)
         panel.points(
-            f"{results.label}, {'used in calibration' if used else 'not used in calibration'}"
-            f" (bars: ± 1 sd)",
+            f"{results.label} data, {'' if used else 'not '}used in calibration (± 1 sd)",
             [x[i] for i in at],
             value,
             value - sd if low is None else np.array([low[i] for i in at]),
@@ -211,9 +210,9 @@ def filling_figure(results: Results, data: Data) -> Figure:
     panel.axes.set_xlim(0, None)
     caption = parts(
         "Simulated readings of the whole base at {} fill levels, n = {} replicates. Stress levels "
-        "off as the walls take a growing share of the weight (Janssen). Points stand only where a "
-        "value was given ({}). The weight on the base does not depend on the packing, so the band "
-        "over replicates has no visible width.",
+        "off as the walls take a growing share of the weight (Janssen). Points stand only where "
+        "the {} data have a value. The weight on the base does not depend on the packing, so the "
+        "band over replicates has no visible width.",
         data.number("filling", "", "fill levels", len(height)),
         data.number("filling", "", "replicates", results.count),
         results.label,

@@ -12,7 +12,7 @@ from pipeline.config.measured import MeasuredRow
 from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.grid import GRAVITY
 from pipeline.lattice.stress import closed_form_stress
-from pipeline.montecarlo.replicates import Execution, replicates_dataset, run_replicates
+from pipeline.montecarlo.replicates import replicates_dataset, run_replicates
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING
 from pipeline.observe import row_covariance, simulated_rows
 from pipeline.parameters import Parameters, declared_parameters
@@ -48,14 +48,14 @@ def setup_of(experiment, rows=()):
 
 def fit(experiment, rows):
     return calibrate(
-        experiment, setup_of(experiment, rows), declared_parameters(experiment), rows, Execution(2)
+        experiment, setup_of(experiment, rows), declared_parameters(experiment), rows
     )
 
 
 def simulated(experiment, rows, parameters, count, **purposes):
     """Rows (replicate, row), on streams apart from those of the calibration unless asked."""
     setup = setup_of(experiment, rows)
-    readings, _ = run_replicates(setup, parameters, count, Execution(2), fields=False, **purposes)
+    readings, _ = run_replicates(setup, parameters, count, fields=False, **purposes)
     return simulated_rows(experiment, replicates_dataset(setup, readings), rows)
 
 

@@ -1,0 +1,20 @@
+# The way to all pages.
+
+rule index:
+    input:
+        calibrations=expand(rules.calibrate.output.calibration, experiment=CATALOG.experiments),
+        validations=expand(rules.validate.output.validation, experiment=CATALOG.experiments),
+        reports=expand(rules.report.output.report, experiment=CATALOG.experiments),
+    output:
+        index=RESULTS + "/index.html",
+        numbers=RESULTS + "/index.json",
+    log:
+        RESULTS + "/logs/index.log",
+    params:
+        files=[CATALOG.file(name) for name in CATALOG.experiments],
+        settings=[CATALOG.settings(name) for name in CATALOG.experiments],
+        code=source_digest("index"),
+    message:
+        "index"
+    script:
+        "../scripts/index.py"
