@@ -71,12 +71,14 @@ def section_figure(results: Results, data: Data) -> Figure:
     caption = parts(
         "The vertical section is the x–z plane at y = {} m; the plan view is the lowest level of "
         "cells. Mean and standard deviation (sd) are over n = {} replicates, each a different "
-        "random packing{}. The mean over replicates smooths the packing away: "
-        "in a single packing stress differs from cell to cell by about the sd shown. Places "
-        "outside the ground are blank.",
+        "random packing{}. {} Places outside the ground are blank.",
         data.number("sections", "section", "y", float(y[results.section_row]), unit="m"),
         data.number("sections", "section", "replicates", results.count),
         ", before anything is drawn" if results.experiment.is_draw else "",
+        "The mean over replicates smooths the packing away: in a single packing stress differs "
+        "from cell to cell by about the sd shown."
+        if results.count > 1
+        else "One replicate has no sd.",
     )
     return Figure("sections", "Vertical stress in the model", caption, panels + one)
 

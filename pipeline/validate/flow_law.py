@@ -383,7 +383,7 @@ def _draw_exponents(ax, shown, law):
         if fit and fit["filaments"]:
             top = max(exponent["value"] for exponent in fit["exponents"].values())
             ax.annotate(
-                f"no zone: filaments over\n{100 * fit['filament_share'][0]:.0f} % of the height",
+                f"no zone: filaments\nover {100 * fit['filament_share'][0]:.0f} %\nof the height",
                 (entry["bulking"], top),
                 (10, 0),
                 textcoords="offset points",
@@ -410,7 +410,7 @@ def _draw_growth(ax, shown):
     ax.axvline(LEAST_HEIGHT, color=MUTED, linestyle="dashed")
     ax.text(LEAST_HEIGHT * 1.03, 0.02, "fitted →", transform=ax.get_xaxis_transform())
     heights = np.array([LEAST_HEIGHT, 200])
-    label = f"{KINEMATIC_FACTOR:g} √height (kinematic theory): slope 1/2"
+    label = f"{KINEMATIC_FACTOR:g} √height: slope 1/2"
     ax.plot(
         heights, KINEMATIC_FACTOR * np.sqrt(heights), color=INK, linestyle="dashed", label=label
     )

@@ -19,11 +19,21 @@ from pipeline.montecarlo.statistics import replicate_statistics
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import make_setup
 
+pytestmark = pytest.mark.filterwarnings("ignore:The ioos_sos checker:DeprecationWarning")
+
 KINDS = ("static", "draw")
 FILES = ("block_model", "fields", "replicates", "statistics")
 GLOBALS = {
-    "Conventions", "title", "source", "history", "references", "config", "config_sha256",
-    "git_revision", "root_seed", "format_version",
+    "Conventions",
+    "title",
+    "source",
+    "history",
+    "references",
+    "config",
+    "config_sha256",
+    "git_revision",
+    "root_seed",
+    "format_version",
 }
 
 
@@ -39,9 +49,15 @@ def written(column, drawn, tmp_path_factory):
         material = {"particle_size": [4e-3, 14e-3]}
         if kind == "static":
             experiment = column(
-                geometry={"width": 0.52, "length": 0.5, "height": 0.95,
-                          "mask": {"type": "cylinder"}},
-                filling={"levels": [0.3]}, material=material, keep_fields=True,
+                geometry={
+                    "width": 0.52,
+                    "length": 0.5,
+                    "height": 0.95,
+                    "mask": {"type": "cylinder"},
+                },
+                filling={"levels": [0.3]},
+                material=material,
+                keep_fields=True,
             )
         else:
             experiment = drawn(material=material)
@@ -51,13 +67,22 @@ def written(column, drawn, tmp_path_factory):
         used = declared if kind == "static" else declared.with_values({"s": 2.0})
         replicates, fields = run_experiment(setup, used, declared)
         block_model, runs = folder / "block_model.nc", folder / "replicates.nc"
-        write_dataset(block_model, model, experiment, "block_model", "Block model",
-                      attributes=model.attrs)
+        write_dataset(
+            block_model, model, experiment, "block_model", "Block model", attributes=model.attrs
+        )
         write_dataset(runs, replicates, experiment, "replicates", "Replicates", [block_model])
-        write_dataset(folder / "fields.nc", fields, experiment, "replicates", "Fields",
-                      [block_model])
-        write_dataset(folder / "statistics.nc", replicate_statistics(read_dataset(runs)),
-                      experiment, "aggregate", "Statistics", [runs], statistics=True)
+        write_dataset(
+            folder / "fields.nc", fields, experiment, "replicates", "Fields", [block_model]
+        )
+        write_dataset(
+            folder / "statistics.nc",
+            replicate_statistics(read_dataset(runs)),
+            experiment,
+            "aggregate",
+            "Statistics",
+            [runs],
+            statistics=True,
+        )
         done[kind] = experiment, folder
         return done[kind]
 
@@ -91,13 +116,18 @@ def findings(tmp_path_factory):
     def check(path):
         report = folder / f"{path.parent.name}-{path.stem}.json"
         ComplianceChecker.run_checker(
-            str(path), ["cf:1.11"], verbose=0, criteria="normal",
-            output_filename=str(report), output_format="json",
+            str(path),
+            ["cf:1.11"],
+            verbose=0,
+            criteria="normal",
+            output_filename=str(report),
+            output_format="json",
         )
         (result,) = json.loads(report.read_text()).values()
         return {
-            weight: [message for check in result[f"{weight}_priorities"]
-                     for message in check["msgs"]]
+            weight: [
+                message for check in result[f"{weight}_priorities"] for message in check["msgs"]
+            ]
             for weight in ("high", "medium", "low")
         }
 
@@ -202,8 +232,11 @@ def test_block_model_holds_flags_with_meanings(folder):
 def test_fields_have_only_fields_on_z_y_x_and_time(folder):
     with netCDF4.Dataset(folder / "fields.nc") as fields:
         for name in (
-            "vertical_stress_mean", "vertical_stress_std", "movement_zone_probability",
-            "void_probability", "bulk_density_mean",
+            "vertical_stress_mean",
+            "vertical_stress_std",
+            "movement_zone_probability",
+            "void_probability",
+            "bulk_density_mean",
         ):
             variable = fields[name]
             assert variable.dimensions == ("time", "z", "y", "x")
@@ -233,7 +266,9 @@ def test_replicates_and_statistics_have_the_dims_of_the_contract(folder):
             assert statistics[name].dimensions == ("time", "load_cell")
             assert statistics[f"base_vertical_stress_{suffix}"].dimensions == ("time",)
         assert statistics["vertical_stress_mean"].ancillary_variables.split() == [
-            "vertical_stress_std", "vertical_stress_se", "replicate_count",
+            "vertical_stress_std",
+            "vertical_stress_se",
+            "replicate_count",
         ]
         assert "replicate" not in statistics.dimensions
 
@@ -259,8 +294,14 @@ def test_statistics_of_counts_are_no_whole_numbers(written, tmp_path):
     experiment, folder = written("draw")
     replicates = read_dataset(folder / "replicates.nc")
     replicates["hang_ups"][:] = [0, 1, 0, 0, 2, 0, 0, 0]
-    write_dataset(tmp_path / "statistics.nc", replicate_statistics(replicates), experiment,
-                  "aggregate", "Statistics", statistics=True)
+    write_dataset(
+        tmp_path / "statistics.nc",
+        replicate_statistics(replicates),
+        experiment,
+        "aggregate",
+        "Statistics",
+        statistics=True,
+    )
     statistics = read_dataset(tmp_path / "statistics.nc")
     assert float(statistics["hang_ups_mean"]) == 0.375
     assert float(statistics["hang_ups_std"]) == pytest.approx(replicates["hang_ups"].std(ddof=1))

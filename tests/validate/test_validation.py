@@ -15,9 +15,8 @@ PUBLISHED = {"vertical_stress_mean": 13.5, "vertical_stress_std": 4.0, "test": 3
 
 def measured(quantity, value, std, **changes):
     given = dict.fromkeys(("load_cell", "fill_height", "mass_drawn", "count"))
-    return MeasuredRow(
-        quantity=quantity, value=value, std=std, **(given | {"std_shared": 0.0, "line": 1} | changes)
-    )
+    given |= {"std_shared": 0.0, "line": 1} | changes
+    return MeasuredRow(quantity=quantity, value=value, std=std, **given)
 
 
 ROWS = (
@@ -98,17 +97,19 @@ def test_as_declared_stands_beside_calibrated(column):
 
 
 def test_rows_that_the_calibration_saw_are_marked(column):
-    target = {"quantity": "vertical_stress", "load_cell": None, "fill_height": None,
-              "mass_drawn": None}
+    target = {
+        "quantity": "vertical_stress",
+        "load_cell": None,
+        "fill_height": None,
+        "mass_drawn": None,
+    }
     document = validate(column(), replicates(), calibration([target]), ROWS)
     assert [r["used_in_calibration"] for r in document["readings"]] == [False, True, False]
 
 
 def test_published_mean_is_compared_with_ours_as_declared(column):
     declared = {"base_vertical_stress": np.array(BASE) * 2, "base_vertical_stress_std": SPATIAL}
-    document = validate(
-        column(published=PUBLISHED), replicates(**declared), calibration(), ROWS
-    )
+    document = validate(column(published=PUBLISHED), replicates(**declared), calibration(), ROWS)
     published = document["published"]
     assert published["ours_mean"] == 18.0  # full, as declared
     assert published["ours_std"] == 3.0

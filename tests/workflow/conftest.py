@@ -72,8 +72,12 @@ class Workspace:
         """(experiment, rule) of each job that a run would do."""
         process = self.snakemake("--dry-run", *(arguments or TARGETS))
         assert process.returncode == 0, process.stdout
-        names = {"block model": "block_model", "calibration": "calibrate",
-                 "statistics": "aggregate", "validation": "validate"}
+        names = {
+            "block model": "block_model",
+            "calibration": "calibrate",
+            "statistics": "aggregate",
+            "validation": "validate",
+        }
         jobs = re.findall(r"^Job \d+: (\w+): ([\w ]+)", process.stdout, re.MULTILINE)
         assert jobs or "Nothing to be done" in process.stdout, process.stdout
         return {(experiment, names.get(job, job)) for experiment, job in jobs}

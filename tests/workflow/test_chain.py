@@ -12,7 +12,11 @@ pytestmark = [pytest.mark.workflow, pytest.mark.xdist_group("workflow")]
 RULES = {"block_model", "calibrate", "replicates", "aggregate", "validate"}
 EXPERIMENTS = "workflow_configs/experiments"
 FILES = {
-    "block_model.nc", "calibration.json", "replicates.nc", "fields.nc", "statistics.nc",
+    "block_model.nc",
+    "calibration.json",
+    "replicates.nc",
+    "fields.nc",
+    "statistics.nc",
     "validation.json",
 }
 
@@ -58,8 +62,10 @@ def test_a_changed_measured_row_reruns_its_experiment_alone(done):
 
 
 def test_comments_and_layout_rerun_nothing(done):
-    done.edit(f"{EXPERIMENTS}/alpha.yaml",
-              lambda text: "# a comment\n" + text.replace("E: 0.9", "E:    0.9"))
+    done.edit(
+        f"{EXPERIMENTS}/alpha.yaml",
+        lambda text: "# a comment\n" + text.replace("E: 0.9", "E:    0.9"),
+    )
     done.edit(f"{EXPERIMENTS}/measured/table.csv", lambda text: "# another\n" + text)
     done.edit("pipeline/lattice/stress.py", lambda text: "# a comment\n" + text)
     assert done.pending() == set()
@@ -74,14 +80,18 @@ def test_an_added_experiment_runs_alone(done):
 
 
 def test_a_changed_kernel_reruns_all_that_computes_with_it(done):
-    done.edit("pipeline/lattice/stress.py",
-              lambda text: text.replace("S_LIMIT = 128.0", "S_LIMIT = 127.0"))
+    done.edit(
+        "pipeline/lattice/stress.py",
+        lambda text: text.replace("S_LIMIT = 128.0", "S_LIMIT = 127.0"),
+    )
     expected = RULES - {"block_model"}
     assert done.pending() == of("alpha", expected) | of("beta", expected)
 
 
 def test_a_changed_variable_table_reruns_what_writes_netcdf(done):
-    done.edit("pipeline/files/variables.yaml", lambda text: text.replace("identity of", "number of"))
+    done.edit(
+        "pipeline/files/variables.yaml", lambda text: text.replace("identity of", "number of")
+    )
     assert done.pending() >= of("alpha", {"block_model", "replicates", "aggregate"})
 
 
@@ -113,7 +123,9 @@ def test_own_files_outside_the_repository_and_a_trailing_slash(fresh, tmp_path):
     (fresh.folder / EXPERIMENTS).rename(outside)
     process = fresh.snakemake(
         f"{results}/experiments/beta/block_model.nc",
-        "--config", f"experiments_dir={outside}/", f"results_dir={results}/",
+        "--config",
+        f"experiments_dir={outside}/",
+        f"results_dir={results}/",
     )
     assert process.returncode == 0, process.stdout
     assert (results / "experiments/beta/block_model.nc").is_file()
@@ -129,8 +141,12 @@ def test_lint_asks_for_nothing_but_environments(checkout):
 
 def test_a_failing_job_says_why_and_leaves_no_output(fresh):
     # the mask lets the file pass: only the job finds that no ground is left
-    fresh.edit(f"{EXPERIMENTS}/beta.yaml", lambda text: text.replace(
-        "cell_size: 0.1}", "cell_size: 0.1, mask: {type: file, path: pit.nc}}"))
+    fresh.edit(
+        f"{EXPERIMENTS}/beta.yaml",
+        lambda text: text.replace(
+            "cell_size: 0.1}", "cell_size: 0.1, mask: {type: file, path: pit.nc}}"
+        ),
+    )
     (fresh.folder / EXPERIMENTS / "pit.nc").write_text("not netCDF")
     target = "results/experiments/beta/block_model.nc"
     process = fresh.snakemake(target)

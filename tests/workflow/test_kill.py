@@ -14,7 +14,7 @@ import pytest
 
 from pipeline.files.netcdf import read_dataset
 
-pytestmark = [pytest.mark.workflow, pytest.mark.xdist_group("kill")]
+pytestmark = [pytest.mark.workflow, pytest.mark.xdist_group("workflow")]
 
 TARGETS = [
     f"results/experiments/{name}/{file}"

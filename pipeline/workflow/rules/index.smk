@@ -6,10 +6,10 @@ rule index:
         validations=expand(rules.validate.output.validation, experiment=CATALOG.experiments),
         reports=expand(rules.report.output.report, experiment=CATALOG.experiments),
     output:
-        index=RESULTS + "/index.html",
-        numbers=RESULTS + "/index.json",
+        index="<results>/index.html",
+        numbers="<results>/index.json",
     log:
-        RESULTS + "/logs/index.log",
+        "<results>/logs/index.log",
     params:
         files=[CATALOG.file(name) for name in CATALOG.experiments],
         settings=[CATALOG.settings(name) for name in CATALOG.experiments],
