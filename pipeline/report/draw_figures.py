@@ -80,7 +80,7 @@ def measured_ratio(results: Results, load_cell: str):
 def load_cell_figure(results: Results, data: Data) -> Figure:
     """σᵥ/σᵥ₀ of each load cell against mass drawn, on the same axes (Figs 16 and 18)."""
     ratio, mass = stress_ratio(results), results.clock
-    low, high = np.nanquantile(ratio, [0.05, 0.95], axis=0)
+    low, high = np.quantile(ratio, [0.05, 0.95], axis=0)
     mean = ratio.mean(axis=0)
     others = {
         suffix: stress_ratio(results, suffix).mean(axis=0)
@@ -92,7 +92,8 @@ def load_cell_figure(results: Results, data: Data) -> Figure:
     top = max(np.nanmax(values) for values in tops if np.isfinite(values).any())
     panels = []
     for i, cell in enumerate(results.load_cells):
-        extremes = f"from {np.nanmin(mean[:, i]):.2f} to {np.nanmax(mean[:, i]):.2f}"
+        known = mean[np.isfinite(mean[:, i]), i]
+        extremes = f"from {known.min():.2f} to {known.max():.2f}" if len(known) else "no ground"
         panel = Panel(
             data,
             "load_cells",
@@ -149,13 +150,15 @@ def load_cell_table(results: Results, data: Data) -> Table:
     before = results.statistics["vertical_stress_mean"].values[0]
     for i, cell in enumerate(results.load_cells):
         _, values, _ = measured_ratio(results, cell.name)
-        most, least = np.nanargmax(mean[:, i]), np.nanargmin(mean[:, i])
+        ranked = np.argsort(mean[:, i])[: np.isfinite(mean[:, i]).sum()]  # NaN: no ground above it
+        ends = [(mean[t, i], mass[t]) for t in ranked[[-1, 0]]] if len(ranked) else []
+        (most, at_most), (least, at_least) = ends or [(None, None)] * 2
         numbers = (
             (before[i], decimals_of(before[i])),
-            (mean[most, i], 2),
-            (mass[most], 2),
-            (mean[least, i], 2),
-            (mass[least], 2),
+            (most, 2),
+            (at_most, 2),
+            (least, 2),
+            (at_least, 2),
             (values.max() if len(values) > 1 else None, 2),
             (values.min() if len(values) > 1 else None, 2),
         )

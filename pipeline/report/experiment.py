@@ -376,8 +376,9 @@ def published_table(results: Results, data: Data) -> Table | None:
     source = published["source"] or results.experiment.source
     table = Table(
         "published",
-        parts("Numbers as published ({}), and ours where they compare. {}", source,
-              published["note"]),
+        parts(
+            "Numbers as published ({}), and ours where they compare. {}", source, published["note"]
+        ),
         ["Quantity", "Measured", "Simulated, published", "Ours", "Ours / published"],
         data,
     )

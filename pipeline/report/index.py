@@ -186,8 +186,8 @@ def overview(entries: Sequence[Entry], data: Data):
         if found:
             sentence.append(
                 parts(
-                    "With the parameters {} the model agrees with the data of {} of {}.",
-                    words,
+                    "With {} the model agrees with the data of {} of {} experiments.",
+                    "calibrated parameters" if run == CALIBRATED else "parameters as declared",
                     data.number("overview", words, "agree", sum(a.agrees for a in found)),
                     data.number("overview", words, "compared", len(found)),
                 )
@@ -302,7 +302,7 @@ def _verdict(found: Agreement | None, is_fitted: bool) -> Badge | str:
     if found is None:
         return ""
     if not found.agrees:
-        return Badge("does not agree", "bad")
+        return Badge("disagrees", "bad")
     return Badge("fitted", "note") if is_fitted else Badge("agrees", "good")
 
 
@@ -496,11 +496,9 @@ def error_figure(entries: Sequence[Entry], data: Data) -> Figure | None:
             declared = reading.get(DECLARED, reading[CALIBRATED])
             points["as declared"].append((declared["error_in_sd"], entry.name))
             if entry.is_calibrated:
-                used = "value used in the calibration" if reading["used_in_calibration"] else (
-                    "value not used"
-                )
+                used = "used in the calibration" if reading["used_in_calibration"] else "not used"
                 error = reading[CALIBRATED]["error_in_sd"]
-                points[f"calibrated, {used}"].append((error, entry.name))
+                points[f"calibrated, value {used}"].append((error, entry.name))
     largest = max(abs(x) for found in points.values() for x, _ in found)
     for label, found in points.items():
         if found:

@@ -16,7 +16,7 @@ def test_no_page_is_wider_than_its_window(request, tmp_path, name):
     html = request.getfixturevalue(name).html
     report = "<script>parent.postMessage([innerWidth, document.documentElement.scrollWidth], '*')"
     (tmp_path / "page.html").write_text(html.replace("</body>", f"{report}</script></body>"))
-    frames = "".join(f"<iframe src=page.html width={width} height=900></iframe>" for width in WIDTHS)
+    frames = "".join(f"<iframe src=page.html width={w} height=900></iframe>" for w in WIDTHS)
     listen = "onmessage = e => document.title += ' ' + e.data[0] + '/' + e.data[1]"
     (tmp_path / "frames.html").write_text(f"<title></title><script>{listen}</script>{frames}")
     found = subprocess.run(
@@ -35,6 +35,7 @@ def test_no_page_is_wider_than_its_window(request, tmp_path, name):
         timeout=120,
         check=True,
     ).stdout
-    sizes = [tuple(map(int, pair)) for pair in re.findall(r"(\d+)/(\d+)", found.split("<script")[0])]
+    title = found.split("<script")[0]
+    sizes = [tuple(map(int, pair)) for pair in re.findall(r"(\d+)/(\d+)", title)]
     assert sorted(window for window, _ in sizes) == list(WIDTHS)
     assert all(page <= window for window, page in sizes)

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 import xarray as xr
-from report.conftest import row, shown_numbers
+from pages import row, shown_numbers
 
 from pipeline.files.atomic import read_json
 from pipeline.parameters import Parameters

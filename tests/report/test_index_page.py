@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from report.conftest import shown_numbers
+from pages import shown_numbers
 
 from pipeline.files.atomic import read_json
 from pipeline.report.index import write_index

@@ -37,7 +37,7 @@ def test_decimals_give_four_significant_digits(scale, decimals):
 
 
 def test_texts_are_escaped_everywhere():
-    evil = "<script>&\""
+    evil = '<script>&"'
     for html in (escape(Badge(evil)), escape(Link(evil, evil)), parts("a {}", evil)):
         assert "<script>" not in html
         assert "&lt;script&gt;&amp;" in html

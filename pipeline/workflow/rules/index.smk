@@ -1,9 +1,14 @@
 # The way to all pages.
 
+
 rule index:
     input:
-        calibrations=expand(rules.calibrate.output.calibration, experiment=CATALOG.experiments),
-        validations=expand(rules.validate.output.validation, experiment=CATALOG.experiments),
+        calibrations=expand(
+            rules.calibrate.output.calibration, experiment=CATALOG.experiments
+        ),
+        validations=expand(
+            rules.validate.output.validation, experiment=CATALOG.experiments
+        ),
         reports=expand(rules.report.output.report, experiment=CATALOG.experiments),
     output:
         index="<results>/index.html",
