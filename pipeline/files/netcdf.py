@@ -67,7 +67,9 @@ def describe(name: str, statistics: bool = False) -> dict[str, Any]:
             return entry | {
                 "long_name": f"{entry['long_name']}, {words}",
                 "ancillary": [
-                    other if other == "replicate_count" else f"{variant}_".join(other.rsplit("_", 1))
+                    other
+                    if other == "replicate_count"
+                    else f"{variant}_".join(other.rsplit("_", 1))
                     for other in entry.get("ancillary", ())
                 ],
             }

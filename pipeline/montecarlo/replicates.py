@@ -169,7 +169,9 @@ def _run_chunk(setup, parameters, first, last, purposes, fields):
             random_stream(experiment.seed, experiment.name, purpose, replicate)
             for purpose in purposes
         )
-        observe = sums.observe if sums is not None else None
+        observe = None
+        if sums is not None:
+            observe = sums.observe if replicate else sums.observe_first
         readings.append(simulate(setup, parameters, packing, flow, observe))
     if sums is not None:
         sums.count = last - first

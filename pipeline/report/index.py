@@ -86,13 +86,15 @@ def write_index(
     calibrations: Iterable[str | Path],
     validations: Iterable[str | Path],
     reports: Iterable[str | Path],
+    flow_law: str | Path,
     page: str | Path,
     numbers: str | Path,
 ) -> None:
     """Write the index page and `index.json`, which holds every number on it.
 
     The first four are in the same order: experiments, their `calibration.json`,
-    `validation.json` and `report.html`.
+    `validation.json` and `report.html`. `flow_law` is the figure of the flow kernel's own check,
+    with its numbers beside it; the page shows it.
     """
     folder = Path(page).parent
     entries = [
@@ -100,7 +102,7 @@ def write_index(
             experiment,
             read_json(calibration),
             read_json(validation),
-            Path(os.path.relpath(report, folder)).as_posix(),
+            _link(report, folder),
         )
         for experiment, calibration, validation, report in zip(
             experiments, calibrations, validations, reports, strict=True
@@ -108,7 +110,7 @@ def write_index(
     ]
     data = Data()
     with panel_style():
-        html = index_page(entries, data, Path(numbers).name)
+        html = index_page(entries, data, Path(numbers).name, _link(flow_law, folder))
     write_json(
         numbers,
         {
@@ -143,8 +145,12 @@ def summary(entry: Entry) -> dict[str, Any]:
     }
 
 
-def index_page(entries: Sequence[Entry], data: Data, numbers: str) -> str:
-    """HTML of the index; `numbers` is the name of the JSON file beside it."""
+def _link(path: str | Path, folder: Path) -> str:
+    return Path(os.path.relpath(path, folder)).as_posix()
+
+
+def index_page(entries: Sequence[Entry], data: Data, numbers: str, flow_law: str) -> str:
+    """HTML of the index; `numbers` and `flow_law` are links from it to these files."""
     static = [entry for entry in entries if not entry.experiment.is_draw]
     draw = [entry for entry in entries if entry.experiment.is_draw]
     own_E = [e for e in entries if not e.experiment.is_draw or "E" in e.experiment.calibrate]
@@ -168,6 +174,7 @@ def index_page(entries: Sequence[Entry], data: Data, numbers: str) -> str:
         transmission=transmission_table(own_E, data) if own_E else None,
         figures=[figure for figure in figures if figure],
         numbers=numbers,
+        flow_law=flow_law,
     )
 
 
@@ -219,7 +226,7 @@ def static_table(entries: Sequence[Entry], data: Data) -> Table:
             *(f"{stress}: {name}" for name in ("data", *RUNS.values(), "published sim.")),
             *_run_columns("Largest error (sd)"),
             *_run_columns("Verdict"),
-            "Published mean",
+            "Published mean reproduced",
         ],
         data,
     )
@@ -233,7 +240,7 @@ def static_table(entries: Sequence[Entry], data: Data) -> Table:
         places = decimals_of(next((v for v in (*shown, published) if v is not None), 0.0))
         _add_row(table, entry, [*shown, published], places)
         reproduced = entry.published.get("mean_reproduced")
-        words = {True: Badge("reproduced", "good"), False: Badge("not reproduced", "bad")}
+        words = {True: Badge("yes", "good"), False: Badge("no", "bad")}
         table.rows[-1].append(words.get(reproduced, ""))
     return table.without_empty_columns()
 

@@ -84,14 +84,9 @@ def section_figure(results: Results, data: Data) -> Figure:
 
 
 def one_packing(results: Results, data: Data) -> list[Panel]:
-    """The first replicate's own section, where the experiment keeps the replicates' fields."""
-    if "replicate_vertical_stress" not in results.replicates:
-        return []
-    values = (
-        results.replicates["replicate_vertical_stress"]
-        .isel(replicate=0, time=results.at_rest, y=results.section_row)
-        .values
-    )
+    """The first replicate's own section: what a single packing looks like (Fig. 8)."""
+    first = results.fields["vertical_stress_first"]
+    values = first.isel(time=results.at_rest, y=results.section_row).values
     x, z = results.fields["x"].values, results.fields["z"].values
     high = float(np.nanmax(values))
     title = "Vertical section of one packing (the first replicate)"

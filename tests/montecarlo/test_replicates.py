@@ -96,6 +96,16 @@ def test_kept_fields_are_what_the_fields_average(setup, alone):
     np.testing.assert_allclose(fields["vertical_stress_mean"].values[some], mean, rtol=1e-5)
 
 
+def test_the_first_replicate_stands_beside_the_mean(setup, alone):
+    replicates, fields = alone
+    first = replicates["replicate_vertical_stress"].values[0]
+    material = first > 0
+    np.testing.assert_allclose(
+        fields["vertical_stress_first"].values[material], first[material], rtol=1e-6
+    )
+    assert np.isnan(fields["vertical_stress_first"].values[~material]).all()
+
+
 def test_draw_visits_the_line_in_turn_until_its_mass(drawn):
     points = [
         {"name": n, "x": x, "y": 0.25, "width": 0.1, "length": 0.1}

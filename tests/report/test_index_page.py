@@ -19,7 +19,8 @@ def index(tmp_path):
 
         page, numbers = tmp_path / "index.html", tmp_path / "index.json"
         documents = (files(name) for name in ("calibration.json", "validation.json", "report.html"))
-        write_index([entry.experiment for entry in made], *documents, page, numbers)
+        law = tmp_path / "flow_law" / "flow_law.svg"
+        write_index([entry.experiment for entry in made], *documents, law, page, numbers)
         return page.read_text("utf-8"), read_json(numbers)
 
     return make

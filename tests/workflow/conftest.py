@@ -112,6 +112,12 @@ def checkout(repository, tmp_path_factory) -> Workspace:
     return Workspace(folder)
 
 
+@pytest.fixture(scope="session")
+def copy_of():
+    """copy_of(workspace, folder): a copy, with what has run there."""
+    return lambda workspace, folder: _copy(workspace.folder, folder)
+
+
 @pytest.fixture
 def fresh(checkout, tmp_path) -> Workspace:
     """A copy of its own in which nothing has run."""

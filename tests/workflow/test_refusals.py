@@ -11,7 +11,7 @@ import pytest
 from pipeline.config.load import load_experiments
 from pipeline.config.messages import ConfigError
 
-pytestmark = [pytest.mark.workflow, pytest.mark.xdist_group("refusals")]
+pytestmark = pytest.mark.workflow
 
 CORPUS = Path(__file__).parents[1] / "config" / "bad" / "experiments"
 CASES = sorted(path.name for path in CORPUS.iterdir() if path.is_dir())

@@ -3,11 +3,11 @@
 
 rule flow_law:
     output:
-        law=RESULTS + "/flow_law/flow_law.json",
-        figure=RESULTS + "/flow_law/flow_law.svg",
-        data=RESULTS + "/flow_law/flow_law.csv",
+        law="<results>/flow_law/flow_law.json",
+        figure="<results>/flow_law/flow_law.svg",
+        data="<results>/flow_law/flow_law.csv",
     log:
-        RESULTS + "/logs/flow_law.log",
+        "<results>/logs/flow_law.log",
     params:
         code=source_digest("flow_law"),
     message:

@@ -10,6 +10,7 @@ rule index:
             rules.validate.output.validation, experiment=CATALOG.experiments
         ),
         reports=expand(rules.report.output.report, experiment=CATALOG.experiments),
+        flow_law=rules.flow_law.output.figure,
     output:
         index="<results>/index.html",
         numbers="<results>/index.json",

@@ -10,6 +10,7 @@ write_index(
     snakemake.input.calibrations,
     snakemake.input.validations,
     snakemake.input.reports,
+    snakemake.input.flow_law,
     snakemake.output.index,
     snakemake.output.numbers,
 )
