@@ -9,10 +9,10 @@ configfile: "workflow_configs/default.yaml"
 
 include: "pipeline/workflow/rules/common.smk"
 include: "pipeline/workflow/rules/experiments.smk"
-
-
+include: "pipeline/workflow/rules/flow_law.smk"
+include: "pipeline/workflow/rules/index.smk"
 
 rule all:
     default_target: True
     input:
-        index=f"{RESULTS}/index.html",
+        rules.index.output,

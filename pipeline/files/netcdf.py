@@ -67,7 +67,9 @@ def describe(name: str, statistics: bool = False) -> dict[str, Any]:
             return entry | {
                 "long_name": f"{entry['long_name']}, {words}",
                 "ancillary": [
-                    other if other in table else f"{variant}_".join(other.rsplit("_", 1))
+                    other
+                    if other == "replicate_count"
+                    else f"{variant}_".join(other.rsplit("_", 1))
                     for other in entry.get("ancillary", ())
                 ],
             }
@@ -76,7 +78,7 @@ def describe(name: str, statistics: bool = False) -> dict[str, Any]:
     words, method = STATISTICS[suffix]
     entry = dict(table[base])
     methods = [m for m in (entry.pop("cell_methods", None), method) if m]
-    entry |= {"long_name": f"{entry['long_name']}: {words}"}
+    entry |= {"long_name": f"{entry['long_name']}: {words}", "dtype": "float64"}
     if methods:
         entry["cell_methods"] = " ".join(methods)
     if suffix == "mean":
@@ -107,6 +109,7 @@ def write_dataset(
     for name in list(dataset.variables):
         if str(name).endswith("_bnds"):
             dataset[name].attrs = {}
+            dataset[name].encoding = {"coordinates": None}
             encoding[name] = {"_FillValue": None, "dtype": "float64"}
             continue
         entry = describe(str(name), statistics)

@@ -28,7 +28,8 @@ class FieldSums:
     """Sums over replicates on (time, z, y, x); integers in grid units.
 
     `stress` and `square` hold Σ(σ − σ_ref) and Σ(σ − σ_ref)², `granular`, `movement` and `void`
-    count replicates, `density` sums the bulk density.
+    count replicates, `density` sums the bulk density. `first` is the stress of the first
+    replicate, kPa, NaN where it has no material; None in sums without that replicate.
     """
 
     setup: Setup
@@ -39,6 +40,7 @@ class FieldSums:
     movement: np.ndarray
     void: np.ndarray
     density: np.ndarray
+    first: np.ndarray | None = None
 
     @classmethod
     def empty(cls, setup: Setup) -> FieldSums:
@@ -71,8 +73,19 @@ class FieldSums:
             self.density[t, :levels],
         )
 
+    def observe_first(
+        self, t: int, code: np.ndarray, cell_id: np.ndarray, load: np.ndarray
+    ) -> None:
+        """As `observe`, for the first replicate, whose own stress is kept too."""
+        self.observe(t, code, cell_id, load)
+        if self.first is None:
+            self.first = np.full(self.stress.shape, np.nan, dtype=np.float32)
+        stress = np.where(load > 0.0, load * (KPA / self.setup.lattice.cell_area), np.nan)
+        self.first[t, : code.shape[0]] = stress
+
     def __iadd__(self, other: FieldSums) -> FieldSums:
         self.count += other.count
+        self.first = other.first if self.first is None else self.first
         for name in ("stress", "square", "granular", "movement", "void", "density"):
             getattr(self, name).__iadd__(getattr(other, name))
         return self
@@ -95,6 +108,7 @@ class FieldSums:
         parts = {
             "vertical_stress_mean": mean,
             "vertical_stress_std": std,
+            "vertical_stress_first": np.nan if self.first is None else self.first,
             "movement_zone_probability": self.movement / self.count,
             "void_probability": self.void / self.count,
             "bulk_density_mean": self.density * DENSITY_UNIT / self.count,

@@ -56,7 +56,7 @@ class Execution:
     """
 
     workers: int = 1
-    scheduler: str | None = None
+    scheduler: str = ""
     chunk: int | None = None
 
 
@@ -149,7 +149,7 @@ def replicates_dataset(
 @contextmanager
 def dask_session(execution: Execution) -> Iterator[None]:
     """The only place that configures Dask: a thread pool, or a client of a running cluster."""
-    if execution.scheduler is None:
+    if not execution.scheduler:
         scheduler = "threads" if execution.workers > 1 else "synchronous"
         with dask.config.set(scheduler=scheduler, num_workers=execution.workers):
             yield
@@ -169,7 +169,9 @@ def _run_chunk(setup, parameters, first, last, purposes, fields):
             random_stream(experiment.seed, experiment.name, purpose, replicate)
             for purpose in purposes
         )
-        observe = sums.observe if sums is not None else None
+        observe = None
+        if sums is not None:
+            observe = sums.observe if replicate else sums.observe_first
         readings.append(simulate(setup, parameters, packing, flow, observe))
     if sums is not None:
         sums.count = last - first

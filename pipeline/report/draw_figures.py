@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.files.netcdf import AS_DECLARED, WITHOUT_ZONE
 from pipeline.report.figures import (
     GREEN,
     INK,
@@ -22,6 +23,10 @@ MASS = "mass drawn (kg)"
 RATIO = "σᵥ / σᵥ₀ (–)"
 SECTIONS = 4  # readings shown as sections, the first and the last among them
 BAND = "5–95 % of replicates"
+VARIANTS = {  # suffix of the variables of another run: its words, color and dash
+    AS_DECLARED: ("model, as declared", GREEN, "dashed"),
+    WITHOUT_ZONE: ("model without R and E_min", ORANGE, "dashdot"),
+}
 
 
 def draw_figures(results: Results, data: Data) -> list[Figure]:
@@ -41,9 +46,9 @@ def draw_tables(results: Results, data: Data) -> list[Table]:
     return [load_cell_table(results, data), drawpoint_table(results, data)]
 
 
-def stress_ratio(results: Results) -> np.ndarray:
+def stress_ratio(results: Results, suffix: str = "") -> np.ndarray:
     """Vertical stress over that before draw, (replicate, time, load_cell)."""
-    stress = results.replicates["vertical_stress"].values
+    stress = results.replicates[f"vertical_stress{suffix}"].values
     with np.errstate(invalid="ignore", divide="ignore"):
         return stress / stress[:, :1]
 
@@ -75,13 +80,20 @@ def measured_ratio(results: Results, load_cell: str):
 def load_cell_figure(results: Results, data: Data) -> Figure:
     """σᵥ/σᵥ₀ of each load cell against mass drawn, on the same axes (Figs 16 and 18)."""
     ratio, mass = stress_ratio(results), results.clock
-    low, high = np.nanquantile(ratio, [0.05, 0.95], axis=0)
+    low, high = np.quantile(ratio, [0.05, 0.95], axis=0)
     mean = ratio.mean(axis=0)
+    others = {
+        suffix: stress_ratio(results, suffix).mean(axis=0)
+        for suffix in VARIANTS
+        if f"vertical_stress{suffix}" in results.replicates
+    }
     measured = {cell.name: measured_ratio(results, cell.name) for cell in results.load_cells}
-    tops = [np.nanmax(high), *(np.max(v + e) for _, v, e in measured.values() if len(v))]
+    tops = [high, *others.values(), *(v + e for _, v, e in measured.values())]
+    top = max(np.nanmax(values) for values in tops if np.isfinite(values).any())
     panels = []
     for i, cell in enumerate(results.load_cells):
-        extremes = f"from {np.nanmin(mean[:, i]):.2f} to {np.nanmax(mean[:, i]):.2f}"
+        known = mean[np.isfinite(mean[:, i]), i]
+        extremes = f"from {known.min():.2f} to {known.max():.2f}" if len(known) else "no ground"
         panel = Panel(
             data,
             "load_cells",
@@ -92,18 +104,21 @@ def load_cell_figure(results: Results, data: Data) -> Figure:
             (2.05, 1.6),
         )
         panel.reference("unchanged", y=1.0, dash="dotted")
+        for suffix, (words, color, dash) in VARIANTS.items():
+            if suffix in others:
+                panel.curve(words, mass, others[suffix][:, i], color=color, dash=dash)
         panel.curve("model, mean", mass, mean[:, i], low[:, i], high[:, i], band=BAND)
         readings, values, errors = measured[cell.name]
         panel_x = [r["mass_drawn"] or 0.0 for r in readings]
         measured_points(panel, results, readings, panel_x, values, values - errors, values + errors)
-        panel.axes.set(ylim=(0, 1.08 * max(tops)), xlim=(0, mass[-1]))
+        panel.axes.set(ylim=(0, 1.08 * top), xlim=(-0.02 * mass[-1], 1.02 * mass[-1]))
         panels.append(panel)
     caption = parts(
         "Vertical stress on each load cell over that before draw; all panels have the same axes. "
         "n = {} replicates. {}",
         data.number("load_cells", "", "replicates", results.count),
-        f"Points ({results.label}): stress over the reading before draw, bars are ± 1 sd of the "
-        "readings' independent error."
+        f"Points, {results.label} data: stress over the reading before draw, bars are ± 1 sd of "
+        "the readings' independent error."
         if any(len(v) for _, v, _ in measured.values())
         else "No load cell was measured.",
     )
@@ -117,32 +132,33 @@ def load_cell_table(results: Results, data: Data) -> Table:
         "load_cell_extremes",
         parts(
             "Largest and smallest σᵥ/σᵥ₀ of each load cell: of the mean over {} replicates, and "
-            "of the values given ({}).",
+            "of the data where there are any.",
             data.number("load_cell_extremes", "", "replicates", results.count),
-            results.label,
         ),
         [
             "Load cell",
             "Stress before draw (kPa)",
-            "Largest ratio",
-            "at mass (kg)",
-            "Smallest ratio",
-            "at mass (kg) ",
-            f"Largest, {results.label}",
-            f"Smallest, {results.label}",
+            "Model: largest",
+            "Model: at mass (kg)",
+            "Model: smallest",
+            "Model: at mass (kg) ",
+            f"Data, {results.label}: largest",
+            f"Data, {results.label}: smallest",
         ],
         data,
     )
     before = results.statistics["vertical_stress_mean"].values[0]
     for i, cell in enumerate(results.load_cells):
         _, values, _ = measured_ratio(results, cell.name)
-        most, least = np.nanargmax(mean[:, i]), np.nanargmin(mean[:, i])
+        ranked = np.argsort(mean[:, i])[: np.isfinite(mean[:, i]).sum()]  # NaN: no ground above it
+        ends = [(mean[t, i], mass[t]) for t in ranked[[-1, 0]]] if len(ranked) else []
+        (most, at_most), (least, at_least) = ends or [(None, None)] * 2
         numbers = (
             (before[i], decimals_of(before[i])),
-            (mean[most, i], 2),
-            (mass[most], 2),
-            (mean[least, i], 2),
-            (mass[least], 2),
+            (most, 2),
+            (at_most, 2),
+            (least, 2),
+            (at_least, 2),
             (values.max() if len(values) > 1 else None, 2),
             (values.min() if len(values) > 1 else None, 2),
         )
@@ -253,7 +269,7 @@ def movement_zone_figure(results: Results, data: Data) -> Figure:
         readings = results.readings(name)
         x = [r["mass_drawn"] or 0.0 for r in readings]
         measured_points(panel, results, readings, x, [r["measured"] for r in readings])
-        panel.axes.set(ylim=(0, 1.08 * limit), xlim=(0, mass[-1]))
+        panel.axes.set(ylim=(0, 1.08 * limit), xlim=(-0.02 * mass[-1], 1.02 * mass[-1]))
         panels.append(panel)
     given = any(results.readings(f"movement_zone_{part}") for part in ("height", "width"))
     caption = parts(
@@ -336,7 +352,7 @@ def extraction_figure(results: Results, data: Data) -> Figure:
 def drawpoint_table(results: Results, data: Data) -> Table:
     """Scheduled and drawn mass of each drawpoint, its shortfall, and hang-ups."""
     experiment, statistics = results.experiment, results.statistics
-    hang_ups = float(statistics["hang_ups_mean"])
+    hang_ups = float(results.replicates["hang_ups"].mean())
     table = Table(
         "drawpoints",
         parts(

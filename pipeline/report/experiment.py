@@ -17,8 +17,6 @@ from pipeline.report.draw_figures import draw_figures, draw_tables
 from pipeline.report.figures import panel_style
 from pipeline.report.page import Badge, Data, Table, decimals_of, parts, render
 from pipeline.report.results import (
-    CALIBRATED,
-    DECLARED,
     THRESHOLD_SD,
     THRESHOLD_SHARE,
     Results,
@@ -27,6 +25,7 @@ from pipeline.report.results import (
     quantity_words,
 )
 from pipeline.report.stress_figures import stress_figures
+from pipeline.validate.validation import CALIBRATED, DECLARED, FALLEN
 
 PARAMETERS = {  # name in calibration.json: (words, key in the experiment's file, acts in draw only)
     "E": ("E: share of its load that a cell at rest passes on", "stress.E", False),
@@ -73,6 +72,7 @@ def report_page(results: Results, data: Data, file_names: Iterable[str]) -> str:
         "readings": reading_table(results, data),
         "overall": overall_table(results, data),
         "published": published_table(results, data),
+        "facts": fact_table(results, data),
         "setup": setup_table(results, data),
         "areas": area_table(results, data),
         "schedule": schedule_table(results, data),
@@ -104,9 +104,8 @@ def verdict(results: Results, data: Data) -> list[Markup]:
     validation = results.validation
     fitted = agreement(validation, CALIBRATED)
     if fitted is None:
-        return [
-            Markup("Nothing was measured: this is a simulation, not calibrated and not validated.")
-        ]
+        sentences = ["No data to compare with: a simulation, not validated on this experiment."]
+        return sentences + _facts_that_hold(validation, data)
     readings = validation["readings"]
     used = sum(reading["used_in_calibration"] for reading in readings)
     runs = {"calibrated": fitted} if results.is_calibrated else {}
@@ -120,13 +119,14 @@ def verdict(results: Results, data: Data) -> list[Markup]:
         }[run]
         sentences.append(
             parts(
-                "{} the model <strong>{}</strong> with the data ({}): {} of {} values lie within "
-                "{} sd of the value, the largest difference is {} sd.",
+                "{} the model <strong>{}</strong> with the {} data: {} of {} {} within {} sd, "
+                "the largest difference is {} sd.",
                 words,
                 "agrees" if found.agrees else "does not agree",
                 results.label,
                 data.number("verdict", run, "values within", found.within),
                 data.number("verdict", run, "values", found.count),
+                "value lies" if found.count == 1 else "values lie",
                 data.number("verdict", "", "threshold", THRESHOLD_SD, 0, "sd"),
                 data.number("verdict", run, "largest difference", found.worst, 2, "sd"),
             )
@@ -134,8 +134,8 @@ def verdict(results: Results, data: Data) -> list[Markup]:
     if used == len(readings):
         sentences.append(
             Markup(
-                "Every value was used in the calibration: that the model reaches them does not "
-                "show that it predicts others."
+                "Every value was used in the calibration: they show what the model can reach, "
+                "and none of them tests it."
             )
         )
     elif used:
@@ -153,7 +153,20 @@ def verdict(results: Results, data: Data) -> list[Markup]:
                 "reproduced" if comparison["mean_reproduced"] else "not reproduced",
             )
         )
-    return sentences
+    return sentences + _facts_that_hold(validation, data)
+
+
+def _facts_that_hold(validation: Mapping[str, Any], data: Data) -> list[Markup]:
+    facts = (validation["published"] or {}).get("facts")
+    if not facts:
+        return []
+    return [
+        parts(
+            "{} of {} published signs and orders of σᵥ/σᵥ₀ hold.",
+            data.number("verdict", "published", "facts that hold", sum(f["holds"] for f in facts)),
+            data.number("verdict", "published", "facts", len(facts)),
+        )
+    ]
 
 
 def threshold(results: Results, data: Data) -> Markup | None:
@@ -246,6 +259,7 @@ def reading_table(results: Results, data: Data) -> Table | None:
     if not readings:
         return None
     runs = _runs(results)
+    runs.pop("without_zone", None)
     columns = ["Quantity", "Load cell", "Fill height (m)", "Mass drawn (kg)"]
     columns += [f"Data, {results.label}: value", f"Data, {results.label}: sd"]
     for words in runs.values():
@@ -254,7 +268,7 @@ def reading_table(results: Results, data: Data) -> Table | None:
     table = Table(
         "readings",
         parts(
-            "Values ({}) beside the model. Error: model less value, in the unit of the quantity "
+            "The {} data beside the model. Error: model less value, in the unit of the quantity "
             "and in standard deviations of the value (sd). se: standard error of the model's mean "
             "over {} replicates.",
             results.label,
@@ -273,7 +287,7 @@ def reading_table(results: Results, data: Data) -> Table | None:
             (reading["measured_sd"], places),
         ]
         for run in runs:
-            found = reading.get(run)
+            found = reading[run]
             numbers += [
                 (found["mean"], places),
                 (found["standard_error"], places),
@@ -294,10 +308,14 @@ def reading_table(results: Results, data: Data) -> Table | None:
 
 
 def _runs(results: Results) -> dict[str, str]:
-    """Key in validation.json and words of each run; one where calibration changed nothing."""
-    if DECLARED not in results.validation["readings"][0]:
-        return {CALIBRATED: "as declared"}
-    return {CALIBRATED: "calibrated", DECLARED: "as declared"}
+    """Key in validation.json and words of each run that was compared with the data."""
+    overall = results.validation["overall"]
+    words = {
+        CALIBRATED: "calibrated" if DECLARED in overall else "as declared",
+        DECLARED: "as declared",
+        "without_zone": "without R and E_min",
+    }
+    return {run: words[run] for run in words if run in overall}
 
 
 def _published_value(results: Results, reading: Mapping[str, Any]) -> float | None:
@@ -322,8 +340,8 @@ def overall_table(results: Results, data: Data) -> Table | None:
     table = Table(
         "overall",
         parts(
-            "Errors over all values of a quantity ({}): model less value, in its unit and in "
-            "standard deviations of the value.",
+            "Errors over all values of a quantity in the {} data: model less value, in its unit "
+            "and in standard deviations of the value.",
             results.label,
         ),
         [
@@ -360,8 +378,10 @@ def published_table(results: Results, data: Data) -> Table | None:
     source = published["source"] or results.experiment.source
     table = Table(
         "published",
-        parts("Published numbers, as published ({}), beside ours. {}", source, published["note"]),
-        ["Quantity", "Measured", "Simulated, published", "Ours, published parameters", "Ratio"],
+        parts(
+            "Numbers as published ({}), and ours where they compare. {}", source, published["note"]
+        ),
+        ["Quantity", "Measured", "Simulated, published", "Ours", "Ours / published"],
         data,
     )
     between = published["measured_std_between"]
@@ -378,7 +398,7 @@ def published_table(results: Results, data: Data) -> Table | None:
     for words, measured, simulated, own in rows:
         if any(value is not None for value in (measured, simulated)):
             ratio = own / simulated if own and simulated else None
-            places = decimals_of(simulated or measured)
+            places = decimals_of(max(v for v in (measured, simulated, own) if v is not None))
             table.add_numbers(
                 words, [(measured, places), (simulated, places), (own, places), (ratio, 3)]
             )
@@ -390,7 +410,64 @@ def published_table(results: Results, data: Data) -> Table | None:
             "mean |experiment − simulation| (kPa)",
             [(None, None), (error, 2), (own, 2), (None, None)],
         )
+    ours = published.get("ours_ratio_range") or (None, None)
+    for words, theirs, own in zip(
+        ("lowest", "highest"), published.get("ratio_range") or (), ours, strict=False
+    ):
+        table.add_numbers(
+            f"{words} σᵥ/σᵥ₀ (measured: of all published scenarios)",
+            [(theirs, 2), (None, None), (own, 2), (None, None)],
+        )
     return table.without_empty_columns()
+
+
+def fact_table(results: Results, data: Data) -> Table | None:
+    """Published signs and orders of σᵥ/σᵥ₀ and whether they hold; None without any."""
+    facts = (results.validation["published"] or {}).get("facts")
+    if not facts:
+        return None
+    table = Table(
+        "facts",
+        parts(
+            "Published signs and orders of σᵥ/σᵥ₀, and the mean over {} replicates. The published "
+            "curves themselves are pictures: no value of them is compared.",
+            data.number("facts", "", "replicates", results.count),
+        ),
+        [
+            "Published",
+            "Holds in the model",
+            "Load cell",
+            "Model: highest",
+            "Model: at mass (kg)",
+            "Model: lowest",
+            "Model: last",
+            f"Model: below {FALLEN:g} from (kg)",
+            "Source",
+        ],
+        data,
+    )
+    for i, fact in enumerate(facts, start=1):
+        words = fact["change"].replace("_", " ")
+        holds = Badge("yes", "good") if fact["holds"] else Badge("no", "bad")
+        for j, cell in enumerate(fact["load_cells"]):
+            numbers = (
+                (fact["highest"][j], 2),
+                (fact["highest_at_mass_drawn"][j], None),
+                (fact["lowest"][j], 2),
+                (fact["last"][j], 2),
+                (fact[f"falls_below_{FALLEN:g}_at_mass_drawn"][j], None),
+            )
+            cells = zip(table.columns[3:8], numbers, strict=True)
+            table.rows.append(
+                [
+                    words if j == 0 else "",
+                    holds if j == 0 else "",
+                    cell,
+                    *(table.number(f"{i}: {words} {cell}", c, *number) for c, number in cells),
+                    fact["source"] if j == 0 else "",
+                ]
+            )
+    return table
 
 
 def setup_table(results: Results, data: Data) -> Table:

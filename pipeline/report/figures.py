@@ -84,6 +84,8 @@ class Panel:
     alt : what a reader who cannot see it should know
     size : of the axes, inches
     upright : draw x on the vertical axis, increasing downwards (a depth)
+    bar : leave room for a color bar
+    left : margin for the labels of the vertical axis, inches
     """
 
     LEFT, RIGHT, BOTTOM, TOP = 0.66, 0.2, 0.52, 0.14  # margins, inches
@@ -99,18 +101,21 @@ class Panel:
         size: tuple[float, float] = (3.4, 2.3),
         upright: bool = False,
         bar: bool = False,
+        left: float = LEFT,
     ):
         self.title, self.alt = title, alt
         self.legend: dict[str, Markup] = {}
         self._data, self._figure, self._x, self._y = data, figure, x, y
         self._upright = upright
         right = 0.82 if bar else self.RIGHT
-        self._width, self._height = self.LEFT + size[0] + right, self.BOTTOM + size[1] + self.TOP
-        self._size = size
+        self._width, self._height = left + size[0] + right, self.BOTTOM + size[1] + self.TOP
+        self._left, self._size = left, size
         self._mpl = MplFigure(figsize=(self._width, self._height))
         FigureCanvasSVG(self._mpl)
-        self.axes = self._mpl.add_axes(self._box(self.LEFT, size[0]))
+        self.axes = self._mpl.add_axes(self._box(left, size[0]))
         self.axes.set(xlabel=y if upright else x, ylabel=x if upright else y)
+        self.axes.locator_params(axis="x", nbins=max(1, int(size[0] / 0.42)))
+        self.axes.locator_params(axis="y", nbins=max(2, int(size[1] / 0.36)))
         if upright:
             self.axes.invert_yaxis()
 
@@ -149,27 +154,44 @@ class Panel:
         )
         self.legend[label] = _marker_swatch(color, marker, filled)
 
-    def dots(self, label, x, names, low=None, high=None, color=INK, marker="o", filled=True):
-        """Markers at `x` beside each name, first name on top, with bars from `low` to `high`."""
-        for i, name in enumerate(names):
-            ends = [None if end is None else [end[i]] for end in (low, high)]
-            self._data.add(self._figure, name, label, "", None, self._x, [x[i]], *ends)
-        x = np.asarray(x, dtype=np.float64)
-        error = None if low is None else np.abs(np.array([x - low, high - x], dtype=np.float64))
-        self.axes.errorbar(
+    def dots(self, label, x, names, color=INK, marker="o", filled=True, offset=0.0) -> None:
+        """Markers at `x` in the row of each name, `offset` of a row below its middle."""
+        for name, value in zip(names, x, strict=True):
+            self._data.add(self._figure, name, label, "", None, self._x, [value])
+        self.axes.plot(
             x,
-            np.arange(len(names)),
-            xerr=error,
-            fmt=marker,
+            [self._rows.index(name) + offset for name in names],
+            marker,
             color=color,
-            markersize=5.5,
+            markersize=5,
             markerfacecolor=color if filled else "none",
-            elinewidth=1,
-            zorder=3,
         )
-        self.axes.set_yticks(np.arange(len(names)), names)
-        self.axes.set_ylim(len(names) - 0.5, -0.5)
         self.legend[label] = _marker_swatch(color, marker, filled)
+
+    def rows(self, names) -> None:
+        """Name the rows of `dots`, the first on top."""
+        self._rows = list(names)
+        self.axes.set_yticks(range(len(names)), names)
+        self.axes.set_ylim(len(names) - 0.5, -0.5)
+
+    def shaded_points(
+        self, label, x, y, shade, name, low, high, marker="o", error=None, colors=STRESS_COLORS
+    ) -> None:
+        """Markers filled by `shade` on the scale from `low` to `high`, hollow where it is NaN.
+
+        `name` is the scale's name, `error` (2, point) the lengths of error bars below and above.
+        """
+        ends = [None, None] if error is None else [y - error[0], y + error[1]]
+        self._data.add(self._figure, self.title, label, self._x, x, self._y, y, *ends)
+        self._data.add(self._figure, self.title, label, self._x, x, name, shade)
+        if error is not None:
+            self.axes.errorbar(x, y, error, fmt="none", ecolor=MUTED, elinewidth=1)
+        colormap = matplotlib.colormaps[colors]
+        for at, value, s in zip(x, y, shade, strict=True):
+            fill = colormap((s - low) / (high - low)) if np.isfinite(s) else "none"
+            style = {"markeredgecolor": INK, "markerfacecolor": fill, "markersize": 6.5}
+            self.axes.plot([at], [value], marker, markeredgewidth=0.8, **style)
+        self.legend[label] = _marker_swatch(INK, marker, False)
 
     def reference(self, label, x=None, y=None, color=MUTED, dash="dashed") -> None:
         """A line across the axes at `x` or at `y`."""
@@ -207,13 +229,17 @@ class Panel:
             cmap=colormap,
         )
         self.axes.grid(False)
-        bar = self._mpl.add_axes(self._box(self.LEFT + self._size[0] + 0.12, 0.11))
+        self.color_bar(name, low, high, colors)
+
+    def color_bar(self, name, low, high, colors=STRESS_COLORS) -> None:
+        """The scale of an image or of shaded points, at the right."""
+        bar = self._mpl.add_axes(self._box(self._left + self._size[0] + 0.12, 0.11))
         bar.imshow(
             np.linspace(0, 1, 128)[:, None],
             origin="lower",
             extent=(0, 1, low, high),
             aspect="auto",
-            cmap=colormap,
+            cmap=matplotlib.colormaps[colors],
         )
         bar.grid(False)
         bar.spines[:].set_visible(False)
@@ -330,15 +356,19 @@ def _band_swatch(color: str) -> Markup:
     )
 
 
-_MARKERS = {
+MARKERS = {  # matplotlib's name: the same shape in a swatch
     "o": '<circle cx="13" cy="6" r="4" {}/>',
-    "s": '<rect x="9" y="2" width="8" height="8" {}/>',
-    "D": '<path d="M13 1L18 6L13 11L8 6Z" {}/>',
-    "^": '<path d="M13 1.5L18 10.5H8Z" {}/>',
+    "s": '<path d="M9 2h8v8h-8z" {}/>',
+    "D": '<path d="M13 1l5 5l-5 5l-5-5z" {}/>',
+    "^": '<path d="M13 1l5 10h-10z" {}/>',
+    "v": '<path d="M13 11l5-10h-10z" {}/>',
+    "<": '<path d="M8 6l10-5v10z" {}/>',
+    ">": '<path d="M18 6l-10-5v10z" {}/>',
+    "P": '<path d="M11.5 1h3v3.5h3.5v3h-3.5v3.5h-3v-3.5h-3.5v-3h3.5z" {}/>',
 }
 
 
 def _marker_swatch(color: str, marker: str, filled: bool) -> Markup:
     theme = f"var(--{_VARIABLES[color]})"
     paint = f'stroke="{theme}" stroke-width="1.5" fill="{theme if filled else "none"}"'
-    return _swatch(_MARKERS[marker].format(paint))
+    return _swatch(MARKERS[marker].format(paint))

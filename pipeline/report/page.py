@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -69,6 +70,17 @@ class Badge:
 
     def __html__(self) -> Markup:
         return Markup('<span class="badge {}">{}</span>').format(self.kind, self.text)
+
+
+@dataclass(frozen=True)
+class Link:
+    """A link to a page beside this one; `path` is relative."""
+
+    text: str
+    path: str
+
+    def __html__(self) -> Markup:
+        return Markup('<a href="{}">{}</a>').format(quote(self.path), self.text)
 
 
 class Data:

@@ -18,8 +18,7 @@ from pipeline.lattice.block_model import lattice_of
 from pipeline.lattice.grid import Lattice
 from pipeline.parameters import Parameters
 from pipeline.simulate import load_cells
-
-CALIBRATED, DECLARED = "calibrated", "as_declared"
+from pipeline.validate.validation import CALIBRATED
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ def section_figure(results: Results, data: Data) -> Figure:
     width, length, height = x[-1] + x[0], y[-1] + y[0], z[-1] + z[0]
     views = [("section", "height z (m)", z, results.section, section_size(width, height))]
     base = lambda name, time: fields[name].isel(time=time, z=0).values  # noqa: E731
-    views.append(("base", "y (m)", y, base, section_size(width, length)))
+    views.append(("base", "y (m)", y, base, section_size(width, length, (2.1, 2.1))))
     panels = []
     for view, vertical, centers, values_of, size in views:
         for name, words, colors in (
@@ -71,25 +71,22 @@ def section_figure(results: Results, data: Data) -> Figure:
     caption = parts(
         "The vertical section is the x–z plane at y = {} m; the plan view is the lowest level of "
         "cells. Mean and standard deviation (sd) are over n = {} replicates, each a different "
-        "random packing{}. The mean over replicates smooths the packing away: "
-        "in a single packing stress differs from cell to cell by about the sd shown. Places "
-        "outside the ground are blank.",
+        "random packing{}. {} Places outside the ground are blank.",
         data.number("sections", "section", "y", float(y[results.section_row]), unit="m"),
         data.number("sections", "section", "replicates", results.count),
         ", before anything is drawn" if results.experiment.is_draw else "",
+        "The mean over replicates smooths the packing away: in a single packing stress differs "
+        "from cell to cell by about the sd shown."
+        if results.count > 1
+        else "One replicate has no sd.",
     )
     return Figure("sections", "Vertical stress in the model", caption, panels + one)
 
 
 def one_packing(results: Results, data: Data) -> list[Panel]:
-    """The first replicate's own section, where the experiment keeps the replicates' fields."""
-    if "replicate_vertical_stress" not in results.replicates:
-        return []
-    values = (
-        results.replicates["replicate_vertical_stress"]
-        .isel(replicate=0, time=results.at_rest, y=results.section_row)
-        .values
-    )
+    """The first replicate's own section: what a single packing looks like (Fig. 8)."""
+    first = results.fields["vertical_stress_first"]
+    values = first.isel(time=results.at_rest, y=results.section_row).values
     x, z = results.fields["x"].values, results.fields["z"].values
     high = float(np.nanmax(values))
     title = "Vertical section of one packing (the first replicate)"
@@ -162,8 +159,7 @@ def measured_points(panel: Panel, results: Results, readings, x, values, low=Non
         sd = [readings[i]["measured_sd"] for i in at]
         value = np.array([values[i] for i in at], dtype=np.float64)
         panel.points(
-            f"{results.label}, {'used in calibration' if used else 'not used in calibration'}"
-            f" (bars: ± 1 sd)",
+            f"{results.label} data, {'' if used else 'not '}used in calibration (± 1 sd)",
             [x[i] for i in at],
             value,
             value - sd if low is None else np.array([low[i] for i in at]),
@@ -211,9 +207,9 @@ def filling_figure(results: Results, data: Data) -> Figure:
     panel.axes.set_xlim(0, None)
     caption = parts(
         "Simulated readings of the whole base at {} fill levels, n = {} replicates. Stress levels "
-        "off as the walls take a growing share of the weight (Janssen). Points stand only where a "
-        "value was given ({}). The weight on the base does not depend on the packing, so the band "
-        "over replicates has no visible width.",
+        "off as the walls take a growing share of the weight (Janssen). Points stand only where "
+        "the {} data have a value. The weight on the base does not depend on the packing, so the "
+        "band over replicates has no visible width.",
         data.number("filling", "", "fill levels", len(height)),
         data.number("filling", "", "replicates", results.count),
         results.label,

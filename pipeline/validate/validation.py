@@ -208,14 +208,15 @@ def _statements(
                 f"{published['ours_std_at_that_density']:.3g} kPa."
             )
         if published.get("measured_std_between") == "repeats":
-            scatter = replicates["base_vertical_stress"].values[:, -1].std(ddof=1)
+            mean = replicates["base_vertical_stress"].values[:, -1]
+            scatter = mean.std(ddof=1) / mean.mean()
+            same = "less than 1e-9" if scatter < 1e-9 else f"{scatter:.1g}"
             statements.append(
                 f"The measured standard deviation {published['measured_std']:.3g} kPa is between "
                 f"repeats. The simulated mean over the base does not vary from packing to packing "
-                f"(standard deviation {scatter:.1g} kPa): weight is conserved, so s cannot produce "
-                f"it. The published simulated standard deviation "
-                f"{published['vertical_stress_std']:.3g} kPa stands beside ours between places, "
-                f"{published['ours_std']:.2g} kPa at the declared density and "
+                f"({same} of it): weight is conserved, so s cannot produce it. The published "
+                f"simulated sd {published['vertical_stress_std']:.3g} kPa stands beside ours "
+                f"between places, {published['ours_std']:.2g} kPa at the declared density and "
                 f"{published['ours_std_at_that_density']:.2g} kPa at the density above."
             )
     negative = float(replicates["negative_s_share"].mean())
@@ -224,7 +225,7 @@ def _statements(
     if experiment.is_draw:
         statements += _draw_statements(experiment, replicates, rows, overall)
     if not rows:
-        statements.append("Nothing was measured: nothing is calibrated or validated.")
+        statements.append("No measured values are given here: nothing is calibrated or validated.")
     return statements
 
 

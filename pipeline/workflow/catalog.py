@@ -12,6 +12,7 @@ from pipeline.config.experiment import Experiment
 from pipeline.config.load import check_measured, digest, load_experiments
 
 PACKAGE = Path(__file__).parents[1]
+CODE = (".py", ".pyc", ".smk")
 SMALL_RUN = 2e7  # cell sweeps that one thread does in a moment
 
 
@@ -37,9 +38,13 @@ class Catalog:
         return str(self.experiments[name].path)
 
     def settings(self, name: str) -> str:
-        """Digest of everything that the experiment's own files say: YAML, rows and mask."""
+        """Digest of what the experiment's own files say, and of the effects that they declare.
+
+        Its files are the YAML, the measured rows and the mask.
+        """
         experiment = self.experiments[name]
         parts = [digest(experiment), repr([_said(row) for row in check_measured(experiment)])]
+        parts += [_digest_with_imports(PACKAGE / "effects" / f"{e}.py") for e in experiment.effects]
         if experiment.mask_path is not None:
             parts.append(hashlib.sha256(experiment.mask_path.read_bytes()).hexdigest())
         return _sha256("".join(parts))
@@ -71,29 +76,36 @@ def source_digest(script: str) -> str:
 
     Comments and layout do not count; data files beside a module do.
     """
+    return _digest_with_imports(PACKAGE / "workflow" / "scripts" / f"{script}.py")
+
+
+@cache
+def _digest_with_imports(path: Path) -> str:
     seen: dict[Path, str] = {}
-    _collect(PACKAGE / "workflow" / "scripts" / f"{script}.py", seen)
+    todo = [path]
+    while todo:
+        path = todo.pop()
+        if path not in seen:
+            seen[path], imported = _read_module(path)
+            todo += imported
     return _sha256("".join(f"{path.name}{seen[path]}" for path in sorted(seen)))
 
 
-def _collect(path: Path, seen: dict[Path, str]) -> None:
-    if path in seen:
-        return
+@cache
+def _read_module(path: Path) -> tuple[str, list[Path]]:
+    """Digest of a module with the data files beside it, and the modules here that it imports."""
     tree = ast.parse(path.read_text("utf-8"))
-    seen[path] = _sha256(ast.dump(tree))
-    for data in path.parent.iterdir():
-        if data.is_file() and data.suffix not in (".py", ".pyc", ".smk"):
-            seen[data] = hashlib.sha256(data.read_bytes()).hexdigest()
+    data = sorted(f for f in path.parent.iterdir() if f.is_file() and f.suffix not in CODE)
+    digest = _sha256(ast.dump(tree) + "".join(_sha256(f.read_text("utf-8")) for f in data))
+    imported = []
     for node in ast.walk(tree):
         names = []
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        for name in names:
-            target = _path_of(name)
-            if target is not None:
-                _collect(target, seen)
+        imported += [target for name in names if (target := _path_of(name)) is not None]
+    return digest, imported
 
 
 def _path_of(module: str) -> Path | None:

@@ -36,8 +36,7 @@ def test_test_3_has_52_500_cells_and_says_what_was_rounded(published):
     model = build_block_model(experiment)
     assert model["state"].size == 52_500
     assert model.attrs["lattice_notes"] == (
-        "length 0.23 m is 11.5 cells of 0.02 m: the lattice has 12 (0.24 m); "
-        "wall areas keep 0.23 m"
+        "length 0.23 m is 11.5 cells of 0.02 m: the lattice has 12 (0.24 m); wall areas keep 0.23 m"
     )
     assert experiment.geometry.hydraulic_radius == pytest.approx(0.70 * 0.23 / (2 * 0.93))
 
@@ -47,8 +46,7 @@ def test_height_between_levels_is_noted_and_every_rounded_length_named(column):
     assert len(notes) == 2
     assert notes[0].startswith("width 0.52 m is 5.2 cells of 0.1 m: the lattice has 5 (0.5 m)")
     assert notes[1] == (
-        "height 0.97 m is 9.7 cells of 0.1 m: "
-        "the top level, number 10, carries 0.7 of its density"
+        "height 0.97 m is 9.7 cells of 0.1 m: the top level, number 10, carries 0.7 of its density"
     )
 
 
@@ -60,9 +58,7 @@ def test_weight_of_a_partial_top_level_is_exact(column, height):
 
 
 def test_block_model_holds_state_density_size_and_identity(column):
-    experiment = column(
-        geometry={"height": 0.95}, material={"particle_size": [4e-3, 14e-3]}
-    )
+    experiment = column(geometry={"height": 0.95}, material={"particle_size": [4e-3, 14e-3]})
     model = build_block_model(experiment)
     assert dict(model.sizes) == {"z": 10, "y": 4, "x": 5}
     assert (model["state"] == 1).all()
@@ -81,7 +77,11 @@ def test_cylinder_mask_keeps_cells_whose_center_is_inside(column):
     )
     mask = ground_mask(experiment, lattice_of(experiment))
     expected = [
-        [0, 0, 1, 0, 0], [0, 1, 1, 1, 0], [1, 1, 1, 1, 1], [0, 1, 1, 1, 0], [0, 0, 1, 0, 0],
+        [0, 0, 1, 0, 0],
+        [0, 1, 1, 1, 0],
+        [1, 1, 1, 1, 1],
+        [0, 1, 1, 1, 0],
+        [0, 0, 1, 0, 0],
     ]
     np.testing.assert_array_equal(mask, np.broadcast_to(expected, (10, 5, 5)))
     assert experiment.geometry.hydraulic_radius == pytest.approx(0.1)
@@ -93,8 +93,13 @@ def test_cylinder_mask_keeps_cells_whose_center_is_inside(column):
 
 def test_cylinder_without_diameter_fills_the_smaller_side(column):
     experiment = column(
-        geometry={"width": 5.0, "length": 4.0, "cell_size": 0.05, "height": 0.05,
-                  "mask": {"type": "cylinder"}},
+        geometry={
+            "width": 5.0,
+            "length": 4.0,
+            "cell_size": 0.05,
+            "height": 0.05,
+            "mask": {"type": "cylinder"},
+        },
     )
     area = ground_mask(experiment, lattice_of(experiment)).sum() * 0.05**2
     assert area == pytest.approx(np.pi * 2.0**2, rel=5e-3)
@@ -102,8 +107,13 @@ def test_cylinder_without_diameter_fills_the_smaller_side(column):
 
 def test_drawbells_open_upwards_from_the_drawpoint(drawn):
     experiment = drawn(
-        geometry={"width": 0.5, "length": 0.5, "height": 0.5, "cell_size": 0.1,
-                  "mask": {"type": "drawbells", "height": 0.2, "wall_angle": 45}},
+        geometry={
+            "width": 0.5,
+            "length": 0.5,
+            "height": 0.5,
+            "cell_size": 0.1,
+            "mask": {"type": "drawbells", "height": 0.2, "wall_angle": 45},
+        },
         drawpoints=[{"name": "west", "x": 0.25, "y": 0.25, "width": 0.1, "length": 0.1}],
         load_cells=[],
     )
@@ -164,7 +174,8 @@ def test_mask_without_ground_is_refused(column, tmp_path):
 def test_a_mask_file_that_is_no_netcdf_is_refused(column, tmp_path):
     (tmp_path / "pit.nc").write_text("not netCDF")
     experiment = column(path=tmp_path, geometry={"mask": {"type": "file", "path": "pit.nc"}})
-    with pytest.raises(ConfigError, match=r"geometry\.mask\.path: .*pit\.nc is not readable as netCDF"):
+    expected = r"geometry\.mask\.path: .*pit\.nc is not readable as netCDF"
+    with pytest.raises(ConfigError, match=expected):
         build_block_model(experiment)
 
 

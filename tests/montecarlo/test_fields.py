@@ -86,7 +86,8 @@ def test_fields_equal_plain_mean_and_standard_deviation(kept):
         where = n > 1
         np.testing.assert_allclose(
             fields["vertical_stress_mean"].values[t, :levels][where],
-            np.nanmean(stress[:, where], axis=0), rtol=1e-6,
+            np.nanmean(stress[:, where], axis=0),
+            rtol=1e-6,
         )
         std = np.nanstd(stress[:, where], axis=0, ddof=1)
         ours = fields["vertical_stress_std"].values[t, :levels][where]

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from pipeline.lattice.block_model import build_block_model
-from pipeline.montecarlo.replicates import Execution, replicates_dataset, run_experiment, run_replicates
+from pipeline.montecarlo.replicates import (
+    Execution,
+    replicates_dataset,
+    run_experiment,
+    run_replicates,
+)
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import make_setup, visits
 
@@ -89,6 +94,16 @@ def test_kept_fields_are_what_the_fields_average(setup, alone):
     some = np.isfinite(stress).any(axis=0)
     mean = np.nanmean(stress[:, some], axis=0)
     np.testing.assert_allclose(fields["vertical_stress_mean"].values[some], mean, rtol=1e-5)
+
+
+def test_the_first_replicate_stands_beside_the_mean(setup, alone):
+    replicates, fields = alone
+    first = replicates["replicate_vertical_stress"].values[0]
+    material = first > 0
+    np.testing.assert_allclose(
+        fields["vertical_stress_first"].values[material], first[material], rtol=1e-6
+    )
+    assert np.isnan(fields["vertical_stress_first"].values[~material]).all()
 
 
 def test_draw_visits_the_line_in_turn_until_its_mass(drawn):

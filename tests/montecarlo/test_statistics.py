@@ -17,11 +17,16 @@ def replicates():
             "hang_ups": ("replicate", rng.integers(0, 9, 11)),
             "drawn_cell": (("replicate", "extraction"), rng.integers(0, 9, (11, 5))),
             "replicate_vertical_stress": (
-                ("replicate", "time", "z", "y", "x"), rng.normal(9, 2, (11, 3, 2, 2, 2))
+                ("replicate", "time", "z", "y", "x"),
+                rng.normal(9, 2, (11, 3, 2, 2, 2)),
             ),
             "fill_height": ("time", [0.1, 0.2, 0.3]),
         },
-        coords={"time": [0.0, 1, 2], "replicate": np.arange(11), "load_cell_x": ("load_cell", [1., 2])},
+        coords={
+            "time": [0.0, 1, 2],
+            "replicate": np.arange(11),
+            "load_cell_x": ("load_cell", [1.0, 2.0]),
+        },
     )
 
 

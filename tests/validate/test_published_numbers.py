@@ -82,8 +82,9 @@ def test_the_mean_over_the_base_does_not_vary_from_packing_to_packing(simulated)
     assert stds.std() > 1e-3 * stds.mean()
 
 
-@pytest.mark.parametrize(("name", "mean", "std"), [("orellana_2012", 8.65, 6.37),
-                                                   ("castro_2020", 19.51, 5.37)])
+@pytest.mark.parametrize(
+    ("name", "mean", "std"), [("orellana_2012", 8.65, 6.37), ("castro_2020", 19.51, 5.37)]
+)
 def test_what_the_paper_simulated_is_reproduced_as_declared(simulated, name, mean, std):
     means, stds = simulated(name)
     assert means.mean() == pytest.approx(mean, rel=0.01)

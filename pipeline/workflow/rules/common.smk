@@ -10,5 +10,9 @@ except ConfigError as error:
 RESULTS = CATALOG.results
 
 
+pathvars:
+    results=RESULTS,
+
+
 wildcard_constraints:
     experiment="|".join(CATALOG.experiments),

@@ -2,9 +2,9 @@
 
 rule block_model:
     output:
-        block_model=RESULTS + "/experiments/{experiment}/block_model.nc",
+        block_model="<results>/experiments/{experiment}/block_model.nc",
     log:
-        RESULTS + "/logs/experiments/{experiment}/block_model.log",
+        "<results>/logs/experiments/{experiment}/block_model.log",
     params:
         file=lambda w: CATALOG.file(w.experiment),
         settings=lambda w: CATALOG.settings(w.experiment),
@@ -20,15 +20,16 @@ rule calibrate:
         block_model=rules.block_model.output.block_model,
         sources=lambda w: CATALOG.source_calibration(w.experiment),
     output:
-        calibration=RESULTS + "/experiments/{experiment}/calibration.json",
+        calibration="<results>/experiments/{experiment}/calibration.json",
     log:
-        RESULTS + "/logs/experiments/{experiment}/calibrate.log",
+        "<results>/logs/experiments/{experiment}/calibrate.log",
     threads: lambda w: CATALOG.threads(w.experiment, workflow.cores)
+    resources:
+        dask_scheduler=config["dask_scheduler"] or "",
     params:
         file=lambda w: CATALOG.file(w.experiment),
         settings=lambda w: CATALOG.settings(w.experiment),
         code=source_digest("calibrate"),
-        scheduler=config["dask_scheduler"],
     message:
         "{wildcards.experiment}: calibration"
     script:
@@ -40,16 +41,17 @@ rule replicates:
         block_model=rules.block_model.output.block_model,
         calibration=rules.calibrate.output.calibration,
     output:
-        replicates=RESULTS + "/experiments/{experiment}/replicates.nc",
-        fields=RESULTS + "/experiments/{experiment}/fields.nc",
+        replicates="<results>/experiments/{experiment}/replicates.nc",
+        fields="<results>/experiments/{experiment}/fields.nc",
     log:
-        RESULTS + "/logs/experiments/{experiment}/replicates.log",
+        "<results>/logs/experiments/{experiment}/replicates.log",
     threads: lambda w: CATALOG.threads(w.experiment, workflow.cores)
+    resources:
+        dask_scheduler=config["dask_scheduler"] or "",
     params:
         file=lambda w: CATALOG.file(w.experiment),
         settings=lambda w: CATALOG.settings(w.experiment),
         code=source_digest("replicates"),
-        scheduler=config["dask_scheduler"],
     message:
         "{wildcards.experiment}: replicates"
     script:
@@ -60,9 +62,9 @@ rule aggregate:
     input:
         replicates=rules.replicates.output.replicates,
     output:
-        statistics=RESULTS + "/experiments/{experiment}/statistics.nc",
+        statistics="<results>/experiments/{experiment}/statistics.nc",
     log:
-        RESULTS + "/logs/experiments/{experiment}/aggregate.log",
+        "<results>/logs/experiments/{experiment}/aggregate.log",
     params:
         file=lambda w: CATALOG.file(w.experiment),
         settings=lambda w: CATALOG.settings(w.experiment),
@@ -78,9 +80,9 @@ rule validate:
         replicates=rules.replicates.output.replicates,
         calibration=rules.calibrate.output.calibration,
     output:
-        validation=RESULTS + "/experiments/{experiment}/validation.json",
+        validation="<results>/experiments/{experiment}/validation.json",
     log:
-        RESULTS + "/logs/experiments/{experiment}/validate.log",
+        "<results>/logs/experiments/{experiment}/validate.log",
     params:
         file=lambda w: CATALOG.file(w.experiment),
         settings=lambda w: CATALOG.settings(w.experiment),
@@ -100,10 +102,10 @@ rule report:
         statistics=rules.aggregate.output.statistics,
         validation=rules.validate.output.validation,
     output:
-        report=RESULTS + "/experiments/{experiment}/report.html",
-        data=RESULTS + "/experiments/{experiment}/report_data.csv",
+        report="<results>/experiments/{experiment}/report.html",
+        data="<results>/experiments/{experiment}/report_data.csv",
     log:
-        RESULTS + "/logs/experiments/{experiment}/report.log",
+        "<results>/logs/experiments/{experiment}/report.log",
     params:
         file=lambda w: CATALOG.file(w.experiment),
         settings=lambda w: CATALOG.settings(w.experiment),

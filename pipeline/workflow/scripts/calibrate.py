@@ -18,7 +18,7 @@ declared = declared_parameters(
     experiment,
     {s["experiment"]: Parameters.from_document(s["parameters_used"]) for s in sources},
 )
-execution = Execution(snakemake.threads, snakemake.params.scheduler)
+execution = Execution(snakemake.threads, snakemake.resources.dask_scheduler)
 write_json(
     snakemake.output.calibration,
     calibrate(experiment, setup, declared, rows, execution),

@@ -16,7 +16,7 @@ calibration = read_json(snakemake.input.calibration)
 used, declared = (
     Parameters.from_document(calibration[key]) for key in ("parameters_used", "declared")
 )
-execution = Execution(snakemake.threads, snakemake.params.scheduler)
+execution = Execution(snakemake.threads, snakemake.resources.dask_scheduler)
 replicates, fields = run_experiment(setup, used, declared, execution)
 for path, dataset, title in (
     (snakemake.output.fields, fields, "Fields over replicates"),

@@ -1,0 +1,49 @@
+"""Pages of tiny experiments."""
+
+import pytest
+from pages import Made, row
+from pages import make_page as make_page_in
+
+
+@pytest.fixture(scope="session")
+def make_page(tmp_path_factory):
+    """make_page(experiment, rows=()): results and page of an experiment."""
+
+    def make(experiment, rows=()) -> Made:
+        folder = tmp_path_factory.mktemp("results") / "experiments" / experiment.name
+        return make_page_in(experiment, rows, folder)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def static(column, make_page) -> Made:
+    """A calibrated static experiment with published numbers and several fill levels."""
+    experiment = column(
+        filling={"levels": [0.4, 0.7]},
+        walls={"friction_angle": 25},
+        calibrate=["E", "s"],
+        measured="table.csv",
+        assumed=["stress.s"],
+        source="A source",
+        published={"vertical_stress_mean": 9.5, "vertical_stress_std": 3.0, "source": "Table 1"},
+    )
+    rows = (row(), row("vertical_stress_spatial_std", 2.0, 0.2), row(value=5.0, fill_height=0.4))
+    return make_page(experiment, rows)
+
+
+@pytest.fixture(scope="session")
+def draw(drawn, make_page) -> Made:
+    """A draw experiment with readings of one load cell and of the movement zone."""
+    experiment = drawn(
+        measured="table.csv",
+        data_label="simulated (DEM)",
+        assumed=["drawpoints", "load_cells"],
+        published={"mean_absolute_error": 1.53, "source": "a paper"},
+    )
+    rows = (
+        *(row(load_cell="beside", mass_drawn=m, value=9.0 + m / 10, count=1) for m in (0, 4, 8)),
+        row("vertical_stress_ratio", 0.6, 0.05, load_cell="above", mass_drawn=8.0),
+        row("movement_zone_height", 0.5, 0.05, mass_drawn=4.0),
+    )
+    return make_page(experiment, rows)

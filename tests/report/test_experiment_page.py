@@ -1,0 +1,247 @@
+"""Pages of a static and of a draw experiment, and of experiments that lack things."""
+
+import re
+
+import numpy as np
+import pytest
+import xarray as xr
+from pages import row, shown_numbers
+
+from pipeline.files.atomic import read_json
+from pipeline.parameters import Parameters
+from pipeline.report.experiment import is_assumed, write_report
+from pipeline.report.results import Agreement
+
+STATIC = {"sections", "profile", "filling", "spreading", "lattice", "convergence"}
+DRAW = STATIC - {"filling"} | {
+    "load_cells",
+    "stress_sections",
+    "zone_sections",
+    "movement_zone",
+    "E_min",
+    "extraction_zone",
+}
+
+
+@pytest.fixture(params=["static", "draw"])
+def made(request):
+    return request.getfixturevalue(request.param)
+
+
+def replicates(made):
+    with xr.open_dataset(made.inputs["replicates"], decode_times=False) as dataset:
+        return dataset.load()
+
+
+def test_every_shown_number_is_in_the_data(made):
+    numbers = shown_numbers(made.html)
+    known = {row[key] for row in made.rows for key in ("x", "y", "y_low", "y_high")}
+    assert len(numbers) > 50
+    assert not set(numbers) - known
+
+
+def test_number_cells_hold_recorded_numbers(made):
+    cells = re.findall(r'<td class="number">(.*?)</td>', made.html, re.DOTALL)
+    assert cells
+    assert all("<data value=" in cell or cell.strip() == "–" for cell in cells)
+
+
+def test_every_figure_is_there_with_alternative_text(made):
+    figures = set(re.findall(r'<figure id="figure-(\w+)"', made.html))
+    assert figures == (DRAW if made.experiment.is_draw else STATIC)
+    panels = re.findall(r'<svg class="panel"[^>]*>', made.html)
+    assert len(panels) >= len(figures)
+    assert all(re.search(r'role="img" aria-label="[^"]{10,}"', panel) for panel in panels)
+    assert made.html.count("<figcaption>") == len(figures)
+
+
+def test_tables_have_captions_and_headers(made):
+    tables = re.findall(r"<table.*?</table>", made.html, re.DOTALL)
+    assert len(tables) >= 3
+    for table in tables:
+        assert "<caption>" in table
+        assert 'scope="col"' in table
+        assert 'scope="row"' in table
+
+
+def test_the_page_stands_alone(made):
+    links = re.findall(r'(?:src|href)="([^"#][^"]*)"', made.html)
+    outside = [link for link in links if not link.startswith("data:image/png;base64,")]
+    assert set(outside) == {
+        "../../index.html",
+        "report_data.csv",
+        *(path.name for path in made.inputs.values()),
+    }
+    assert "<script" not in made.html
+    assert "@import" not in made.html
+    assert len(made.html) < 1_500_000
+
+
+def test_ids_are_unique_and_references_resolve(made):
+    ids = re.findall(r' id="([^"]+)"', made.html)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'(?:url\(#|href="#)([^")]+)', made.html)) <= set(ids)
+
+
+def test_the_same_results_give_the_same_bytes(made, tmp_path):
+    write_report(made.experiment, made.inputs, tmp_path / "report.html",
+                 tmp_path / "report_data.csv")  # fmt: skip
+    assert (tmp_path / "report.html").read_text("utf-8") == made.html
+    assert (tmp_path / "report_data.csv").read_bytes() == (
+        made.folder / "report_data.csv"
+    ).read_bytes()
+
+
+def test_the_data_label_stands_with_the_data(made):
+    label = made.experiment.data_label
+    assert f"data: {label}" in made.html
+    assert f"Data, {label}" in made.html
+    used = "used" if made.experiment.calibrate else "not used"
+    assert f"{label} data, {used} in calibration" in made.html
+
+
+def test_what_is_assumed_is_flagged(made):
+    for key in made.experiment.assumed:
+        assert f"<code>{key}</code>" in made.html
+    assert '<span class="badge warn">assumed</span>' in made.html
+
+
+def test_a_static_page_says_what_does_not_reproduce(static):
+    validation = read_json(static.inputs["validation"])
+    assert not validation["published"]["mean_reproduced"]
+    assert "<strong>not reproduced</strong>" in static.html
+    assert validation["statements"][0].split(":")[0] in static.html
+
+
+def test_a_target_out_of_reach_is_flagged(column, make_page):
+    experiment = column(calibrate=["s"], measured="table.csv")
+    made = make_page(experiment, (row("vertical_stress_spatial_std", 50.0, 1.0),))
+    assert "its target is out of reach" in made.html
+
+
+def test_the_nine_shares_add_up_to_the_whole(static):
+    shares = [
+        np.array(static.series("spreading", name))[:, 1]
+        for name in (
+            "straight below, d = 1",
+            "beside, d = √2 (each of four)",
+            "corner, d = √3 (each of four)",
+        )
+    ]
+    np.testing.assert_allclose(shares[0] + 4 * shares[1] + 4 * shares[2], 1.0, rtol=1e-8)
+
+
+def test_the_lattice_figure_holds_both_forms_of_eq_5(static):
+    E = read_json(static.inputs["calibration"])["parameters_used"]["E"]
+    n, exact = np.array(static.series("lattice", "sum of eqs 1 and 2")).T
+    np.testing.assert_allclose(exact, (1 - E**n) / (n * (1 - E)), rtol=1e-8)
+    printed = np.array(static.series("lattice", "eq 5 as printed (once more × E)"))[:, 1]
+    np.testing.assert_allclose(printed, E * exact, rtol=1e-8)
+
+
+def test_the_profile_ends_at_the_base_stress(static):
+    base = replicates(static)["base_vertical_stress"].values[:, -1].mean()
+    depth, stress = static.series("profile", "model, mean over the level")[0]
+    assert depth == pytest.approx(1.0)
+    assert stress == pytest.approx(base, rel=1e-5)
+
+
+def test_the_running_mean_ends_at_the_mean(static):
+    values = replicates(static)["base_vertical_stress_std"].values[:, -1]
+    n, mean = static.series("convergence", "running mean", "Sd from place to place on the base")[-1]
+    assert n == len(values)
+    assert mean == pytest.approx(values.mean())
+
+
+def test_load_cells_show_the_ratio_to_the_stress_before_draw(draw):
+    stress = replicates(draw)["vertical_stress"].values
+    ratio = (stress / stress[:, :1]).mean(axis=0)
+    shown = np.array(draw.series("load_cells", "model, mean", "Load cell above"))
+    np.testing.assert_allclose(shown[:, 1], ratio[:, 1], rtol=1e-8)
+    label = "simulated (DEM) data, not used in calibration (± 1 sd)"
+    beside = draw.series("load_cells", label, "Load cell beside")
+    assert beside == [(0, 1), (4, pytest.approx(9.4 / 9)), (8, pytest.approx(9.8 / 9))]
+    assert draw.series("load_cells", label, "Load cell above") == [(8, 0.6)]
+
+
+def test_the_ratio_has_the_independent_errors_of_both_readings(draw):
+    later = next(r for r in draw.rows if r["figure"] == "load_cells" and r["x"] == "4"
+                 and r["series"].startswith("simulated"))  # fmt: skip
+    error = np.hypot(0.4, 0.4 * 9.4 / 9) / 9
+    assert float(later["y_high"]) - float(later["y"]) == pytest.approx(error)
+
+
+def test_e_min_is_the_law_that_was_used(draw):
+    used = Parameters.from_document(read_json(draw.inputs["calibration"])["parameters_used"])
+    height, value = np.array(draw.series("E_min", "E_min, movement zone")).T
+    np.testing.assert_allclose(value, 1 - used.shed_in_zone(height), rtol=1e-8)
+
+
+def test_drawpoints_gave_the_mass_that_was_drawn(draw):
+    drawn = replicates(draw)["replicate_mass_drawn"].values[:, -1].mean()
+    given = [float(r["y"]) for r in draw.rows
+             if r["figure"] == "drawpoints" and r["series"] == "Drawn (kg)"]  # fmt: skip
+    assert sum(given) == pytest.approx(drawn)
+
+
+def test_published_errors_are_quoted(draw):
+    assert "as published (a paper)" in draw.html
+    assert '<data value="1.53">1.53</data>' in draw.html
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"replicates": 1},
+        {"geometry": {"mask": {"type": "cylinder"}}},
+        {"geometry": {"height": 0.95}, "stress": {"E": 1.0, "s": 2.0}},
+        {"stress": {"rule": "multinomial"}, "keep_fields": True},
+    ],
+    ids=["one replicate", "cylinder", "nothing shed", "fields kept"],
+)
+def test_an_experiment_without_data_has_a_page(column, make_page, changes):
+    made = make_page(column(**changes))
+    assert "data: none" in made.html
+    assert "No data to compare with" in made.html
+    assert "nan" not in re.sub(r"<[^>]*>", "", made.html).lower().split()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"replicates": 1, "load_cells": None},
+        {"geometry": {"mask": {"type": "drawbells", "height": 0.2, "wall_angle": 60}}},
+    ],
+    ids=["one replicate, no load cell", "drawbells"],
+)
+def test_a_draw_without_data_has_a_page(drawn, make_page, changes):
+    made = make_page(drawn(**changes))
+    assert "No load cell was measured" in made.html
+    assert "It was not measured here" in made.html
+
+
+def test_what_a_user_writes_is_text(column, make_page):
+    evil = "<script>alert(1)</script> {{ 1 + 1 }} \" '"
+    made = make_page(column(title=evil, source=evil, material={"name": evil}))
+    assert "<script" not in made.html
+    assert made.html.count("&lt;script&gt;alert(1)&lt;/script&gt; {{ 1 + 1 }}") >= 3
+
+
+@pytest.mark.parametrize(
+    ("assumed", "key", "flagged"),
+    [
+        ("drawpoints", "drawpoints", True),
+        ("stress", "stress.E", True),
+        ("measured.std", "measured", True),
+        ("stress.E_min", "stress.E", False),
+    ],
+)
+def test_assumed_keys_match_by_whole_parts(column, assumed, key, flagged):
+    assert is_assumed(column(assumed=[assumed]), key) is flagged
+
+
+@pytest.mark.parametrize(
+    ("count", "within", "agrees"), [(1, 1, True), (1, 0, False), (20, 19, True), (19, 18, False)]
+)
+def test_the_verdict_allows_one_value_in_twenty(count, within, agrees):
+    assert Agreement(count, within, 3.0).agrees is agrees

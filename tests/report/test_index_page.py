@@ -1,0 +1,82 @@
+"""The index of any set of experiments."""
+
+import re
+
+import pytest
+from pages import shown_numbers
+
+from pipeline.files.atomic import read_json
+from pipeline.report.index import write_index
+
+
+@pytest.fixture
+def index(tmp_path):
+    """index(made, ...): HTML and JSON of an index of these experiments."""
+
+    def make(*made):
+        def files(name):
+            return [entry.folder / name for entry in made]
+
+        page, numbers = tmp_path / "index.html", tmp_path / "index.json"
+        documents = (files(name) for name in ("calibration.json", "validation.json", "report.html"))
+        law = tmp_path / "flow_law" / "flow_law.svg"
+        write_index([entry.experiment for entry in made], *documents, law, page, numbers)
+        return page.read_text("utf-8"), read_json(numbers)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def unmeasured(column, make_page):
+    return make_page(column(name="unmeasured"))
+
+
+@pytest.mark.parametrize(
+    "names",
+    [("static", "draw", "unmeasured"), ("static",), ("draw",), ("unmeasured",), ()],
+    ids=lambda names: "+".join(names) or "none",
+)
+def test_every_number_is_in_the_json(index, request, names):
+    html, numbers = index(*(request.getfixturevalue(name) for name in names))
+    known = {value for row in numbers["data"] for value in row.values()}
+    assert {float(value) for value in shown_numbers(html)} <= known
+    assert [entry["experiment"] for entry in numbers["experiments"]] == [
+        request.getfixturevalue(name).experiment.name for name in names
+    ]
+
+
+def test_each_experiment_is_linked_with_its_verdict(index, static, draw, tmp_path):
+    html, numbers = index(static, draw)
+    for made, entry in zip((static, draw), numbers["experiments"], strict=True):
+        assert (tmp_path / entry["report"]).samefile(made.folder / "report.html")
+        assert f'href="{entry["report"]}"' in html
+        assert entry["agreement"]["as_declared"]["values"] == len(
+            read_json(made.inputs["validation"])["readings"]
+        )
+    assert numbers["experiments"][0]["published_mean_reproduced"] is False
+    assert "not reproduced" in html
+
+
+def test_the_figures_have_alternative_text(index, static, draw):
+    html, _ = index(static, draw)
+    assert set(re.findall(r'<figure id="figure-(\w+)"', html)) == {
+        "transmission",
+        "published",
+        "errors",
+    }
+    panels = re.findall(r'<svg class="panel"[^>]*>', html)
+    assert all(re.search(r'role="img" aria-label="[^"]{10,}"', panel) for panel in panels)
+
+
+def test_errors_tell_fitted_values_from_others(index, static, draw):
+    _, numbers = index(static, draw)
+    series = {row["series"] for row in numbers["data"] if row["figure"] == "errors"}
+    assert "calibrated, value used in the calibration" in series
+    assert "as declared" in series
+    declared = [row for row in numbers["data"]
+                if row["figure"] == "errors" and row["series"] == "as declared"]  # fmt: skip
+    assert len(declared) == 3 + 5
+
+
+def test_the_same_results_give_the_same_bytes(index, static, draw):
+    assert index(static, draw) == index(static, draw)
