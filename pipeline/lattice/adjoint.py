@@ -121,17 +121,18 @@ def _influence(
     shares_excess = coupling.transfer > 0.0
     by_relaxation = result.relaxation.shape[1] > 0
     receptivity = np.zeros((ny + 2, nx + 2))
-    # of the readings with respect to the load of each place: as it leaves the level above, and
-    # that times the place's receptivity; with respect to the excess of each zone
+    # derivatives of the readings by what reaches each place of the level below; that times the
+    # place's receptivity; and by the excess of each zone
     of_load = np.empty((count, ny, nx))
     shared = np.zeros((count, ny + 2, nx + 2))
     of_excess = np.zeros((count, coupling.zone_root.max() + 1 if shares_excess else 0))
-    # of the loads that a cell gives: shares by ring, of the place straight below if no receiver
-    # is granular, of the base; derivatives of what is given with respect to load and 1 − E
+    # where a cell's load goes: shares by ring, or all of it to the place straight below or onto
+    # rock; how what it gives answers to its load and its 1 − E, and likewise (with a third, its
+    # own 1 − E) what it adds to the excess of its zone
     down, sides, corners = np.empty((ny, nx)), np.empty((ny, nx)), np.empty((ny, nx))
     through, onto_rock = np.empty((ny, nx)), np.empty((ny, nx))
     by_load, by_shed = np.empty((ny, nx)), np.empty((ny, nx))
-    excess_by = np.empty((3, ny, nx))  # likewise of the excess: by load, 1 − E and own 1 − E
+    excess_by = np.empty((3, ny, nx))
     given = np.empty((ny, nx))
     of_given = np.empty((ny, nx))
     for k in range(nz):
@@ -196,26 +197,26 @@ def _influence(
                     if code[k - 1, y, x] == OUTSIDE:
                         through[y, x], onto_rock[y, x] = 0.0, 1.0
         for n in range(count):
-            above = shared[n]
+            below = shared[n]
             if k == 0:
                 of_load[n] = readings[n]
             else:
                 for y in range(ny):
                     for x in range(nx):
                         of_edges = (
-                            lower * above[y, x + 1]
-                            + left * above[y + 1, x]
-                            + right * above[y + 1, x + 2]
-                            + upper * above[y + 2, x + 1]
+                            lower * below[y, x + 1]
+                            + left * below[y + 1, x]
+                            + right * below[y + 1, x + 2]
+                            + upper * below[y + 2, x + 1]
                         )
                         of_corners = (
-                            lower * left * above[y, x]
-                            + lower * right * above[y, x + 2]
-                            + upper * left * above[y + 2, x]
-                            + upper * right * above[y + 2, x + 2]
+                            lower * left * below[y, x]
+                            + lower * right * below[y, x + 2]
+                            + upper * left * below[y + 2, x]
+                            + upper * right * below[y + 2, x + 2]
                         )
                         of_given[y, x] = (
-                            down[y, x] * above[y + 1, x + 1]
+                            down[y, x] * below[y + 1, x + 1]
                             + sides[y, x] * of_edges
                             + corners[y, x] * of_corners
                             + through[y, x] * of_load[n, y, x]
