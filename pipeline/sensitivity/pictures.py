@@ -17,7 +17,7 @@ from pipeline.montecarlo.replicates import Execution, run_replicates
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import KPA, Setup, make_setup
 
-REPLICATES = 24
+REPLICATES = 10
 GROUND: dict[str, Any] = {
     "material": {
         "name": "gravel",
@@ -101,9 +101,7 @@ def _mean_stress(
     """
     block_model = build_block_model(experiment)
     setup = make_setup(experiment, block_model, effects=active)
-    readings, sums = run_replicates(
-        setup, declared_parameters(experiment), REPLICATES, execution
-    )
+    readings, sums = run_replicates(setup, declared_parameters(experiment), REPLICATES, execution)
     field = sums.finalise()["vertical_stress_mean"].values[-1]
     section = _level_mean(field, setup)
     levels = block_model.sizes["z"]
