@@ -305,9 +305,11 @@ def _share_excess(code, zone_root, excess, carried):
     `excess` (zone label) in N is emptied; what finds no stagnant cell stays shed. Returns the load
     handed on, N.
     """
+    if excess.sum() == 0.0:
+        return 0.0
     ny, nx = code.shape
     touching = np.zeros(len(excess))
-    found = np.empty(8, np.int64)
+    found = np.empty(9, np.int64)
     for turn in range(2):  # count the cells that touch each zone, then hand out
         for y in range(ny):
             for x in range(nx):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,9 @@ import xarray as xr
 from pipeline.config.experiment import Experiment
 from pipeline.effects import Active, effects
 from pipeline.lattice.block_model import build_block_model
-from pipeline.lattice.grid import GRAVITY
 from pipeline.montecarlo.replicates import Execution, run_replicates
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import KPA, Setup, make_setup
+from pipeline.simulate import Setup, make_setup
 
 REPLICATES = 10
 GROUND: dict[str, Any] = {
