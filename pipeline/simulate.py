@@ -14,7 +14,16 @@ import xarray as xr
 
 from pipeline.config.experiment import Experiment, LoadCell
 from pipeline.config.measured import MeasuredRow, fill_levels, reading_masses
-from pipeline.effects import Active, Packing, Reading, State, apply, declared_effects, ordered
+from pipeline.effects import (
+    Active,
+    Packing,
+    Reading,
+    State,
+    apply,
+    as_filled,
+    declared_effects,
+    ordered,
+)
 from pipeline.lattice.block_model import build_block_model, cell_codes, lattice_of
 from pipeline.lattice.cells import OUTSIDE, STAGNANT
 from pipeline.lattice.flow import (
@@ -151,12 +160,10 @@ def make_setup(
     active = declared_effects(experiment) if effects is None else ordered(effects)
     levels = () if experiment.is_draw else fill_levels(experiment, rows)
     true_levels = tuple(float(apply(active, "geometry", level)) for level in levels)
-    height = float(apply(active, "geometry", experiment.geometry.height))
-    lattice = lattice_of(experiment)
-    if height != experiment.geometry.height:
-        geometry = experiment.geometry.model_copy(update={"height": height})
-        filled = experiment.model_copy(update={"geometry": geometry})
-        lattice, block_model = lattice_of(filled), build_block_model(filled)
+    filled = as_filled(experiment, active)
+    lattice = lattice_of(filled)
+    if filled is not experiment:
+        block_model = build_block_model(filled)
     code = cell_codes(block_model)
     density = block_model["bulk_density"].values.astype(np.float64)
     base = (code != OUTSIDE).any(axis=0)

@@ -206,3 +206,17 @@ def apply(active: tuple[Active, ...], stage: str, subject: Any) -> Any:
         if action is not None and not one.is_neutral:
             subject = action(subject, one.values)
     return subject
+
+
+def as_filled(experiment: Any, active: tuple[Active, ...] | None = None) -> Any:
+    """The experiment with the height to which it truly was filled, where effects say so.
+
+    `active` replace the effects that the experiment declares.
+    """
+    active = declared_effects(experiment) if active is None else active
+    declared = experiment.geometry.height
+    height = float(apply(active, "geometry", declared))
+    if height == declared:
+        return experiment
+    geometry = experiment.geometry.model_copy(update={"height": height})
+    return experiment.model_copy(update={"geometry": geometry})

@@ -13,6 +13,7 @@ import xarray as xr
 
 from pipeline.config.experiment import Experiment, LoadCell
 from pipeline.config.measured import QUANTITIES
+from pipeline.effects import as_filled
 from pipeline.files.atomic import read_json
 from pipeline.lattice.block_model import lattice_of
 from pipeline.lattice.grid import Lattice
@@ -34,8 +35,8 @@ class Results:
 
     @property
     def lattice(self) -> Lattice:
-        """The lattice of the experiment."""
-        return lattice_of(self.experiment)
+        """The lattice of the experiment, as high as it truly was filled."""
+        return lattice_of(as_filled(self.experiment))
 
     @property
     def load_cells(self) -> tuple[LoadCell, ...]:

@@ -116,7 +116,8 @@ def profile_figure(results: Results, data: Data) -> Figure:
     packings = np.zeros_like(places) if results.count == 1 else np.nanmean(std**2, axis=(1, 2))
     scatter = np.sqrt(places + packings)
     height = results.experiment.geometry.height
-    depth = height - lattice.cell_size * np.arange(lattice.nz)
+    surface = lattice.cell_size * (lattice.nz - 1 + lattice.top_fraction)
+    depth = surface - lattice.cell_size * np.arange(lattice.nz)
     panel = Panel(
         data,
         "profile",

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from runs import run
 
-from pipeline.effects import Active, State, effects
+from pipeline.effects import Active, State, as_filled, effects
 from pipeline.effects.pillar_relaxation import relax as relax_beside_pillars
 from pipeline.effects.tilt import OFFSETS, RING
+from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import MOVEMENT, OUTSIDE, STAGNANT, VOID
 from pipeline.lattice.grid import GRAVITY, make_lattice
 from pipeline.lattice.stress import UNCOUPLED, closed_form_stress
@@ -131,6 +132,12 @@ def test_a_fill_height_factor_equals_a_column_declared_that_tall(filling):
     misdeclared = run(filling(), [on("fill_height_misdeclared", factor=1.2)])[0]
     (declared,) = run(taller)
     np.testing.assert_array_equal(misdeclared.vertical_stress, declared.vertical_stress)
+
+
+def test_a_block_model_is_as_high_as_the_bed_was_filled(filling):
+    experiment = filling(effects={"fill_height_misdeclared": {"factor": 1.25}})
+    assert build_block_model(as_filled(experiment)).sizes["z"] == 13  # of 10 declared
+    assert as_filled(experiment, ()) is experiment
 
 
 def test_a_surcharge_adds_what_the_column_transmits(filling):
