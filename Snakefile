@@ -10,9 +10,12 @@ configfile: "workflow_configs/default.yaml"
 include: "pipeline/workflow/rules/common.smk"
 include: "pipeline/workflow/rules/experiments.smk"
 include: "pipeline/workflow/rules/flow_law.smk"
+include: "pipeline/workflow/rules/effects.smk"
 include: "pipeline/workflow/rules/index.smk"
+
 
 rule all:
     default_target: True
     input:
+        rules.effect_catalogue.output,
         rules.index.output,

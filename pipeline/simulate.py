@@ -6,14 +6,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from pipeline.config.experiment import Experiment, LoadCell
 from pipeline.config.measured import MeasuredRow, fill_levels, reading_masses
-from pipeline.lattice.block_model import cell_codes, lattice_of
+from pipeline.effects import Active, Packing, Reading, State, apply, declared_effects, ordered
+from pipeline.lattice.block_model import build_block_model, cell_codes, lattice_of
 from pipeline.lattice.cells import OUTSIDE, STAGNANT
 from pipeline.lattice.flow import (
     DRAWN_CELLS,
@@ -25,7 +27,13 @@ from pipeline.lattice.flow import (
     zone_geometry,
 )
 from pipeline.lattice.grid import GRAVITY, Lattice, levels_of
-from pipeline.lattice.stress import place_cells, spreading_weights, stress_sweep
+from pipeline.lattice.stress import (
+    UNCOUPLED,
+    Coupling,
+    place_cells,
+    spreading_weights,
+    stress_sweep,
+)
 from pipeline.parameters import Parameters
 
 KPA = 1e-3
@@ -33,6 +41,25 @@ BALANCE_TOLERANCE = 1e-6
 
 # called at each reading with (time index, cell codes, cell ids, carried load in N)
 Observer = Callable[[int, np.ndarray, np.ndarray, np.ndarray], None]
+
+
+class Sweep(NamedTuple):
+    """One sweep: what it took, see `stress.stress_sweep`, and the loads that it returned, N."""
+
+    weight: np.ndarray
+    shed_fraction: np.ndarray
+    edge: np.ndarray
+    corner: np.ndarray
+    code: np.ndarray
+    relaxation: float
+    top_fraction: float
+    coupling: Coupling
+    load: np.ndarray
+    base_load: np.ndarray
+
+
+# called at each reading with (time index, its sweep)
+Inspector = Callable[[int, Sweep], None]
 
 
 @dataclass(frozen=True)
@@ -49,6 +76,8 @@ class Setup:
     masses : kg drawn at each time of a draw experiment; empty in a static one
     openings : base cells (n, 3) of each drawpoint, as (z, y, x) indices
     to_the_end : whether draw goes on after the last reading, to the schedule's end
+    true_levels : m, the heights that `fill_levels` are in truth, where effects say so
+    effects : in the order in which they act
     """
 
     experiment: Experiment
@@ -61,6 +90,12 @@ class Setup:
     masses: tuple[float, ...]
     openings: tuple[np.ndarray, ...]
     to_the_end: bool = True
+    true_levels: tuple[float, ...] = ()
+    effects: tuple[Active, ...] = ()
+
+    def acts_on(self, stage: str) -> bool:
+        """Whether an effect that is not neutral acts at a stage."""
+        return any(getattr(e.effect, stage) and not e.is_neutral for e in self.effects)
 
     @property
     def times(self) -> int:
@@ -105,13 +140,23 @@ def make_setup(
     block_model: xr.Dataset,
     rows: tuple[MeasuredRow, ...] = (),
     dtype: type = np.float32,
+    effects: tuple[Active, ...] | None = None,
 ) -> Setup:
     """Arrays of an experiment for its replicates.
 
     `rows` are its measured rows, whose fill heights and masses join the declared readings;
-    `dtype` is the storage type of the cells' weights.
+    `dtype` is the storage type of the cells' weights; `effects` replace those that the experiment
+    declares.
     """
+    active = declared_effects(experiment) if effects is None else ordered(effects)
+    levels = () if experiment.is_draw else fill_levels(experiment, rows)
+    true_levels = tuple(float(apply(active, "geometry", level)) for level in levels)
+    height = float(apply(active, "geometry", experiment.geometry.height))
     lattice = lattice_of(experiment)
+    if height != experiment.geometry.height:
+        geometry = experiment.geometry.model_copy(update={"height": height})
+        filled = experiment.model_copy(update={"geometry": geometry})
+        lattice, block_model = lattice_of(filled), build_block_model(filled)
     code = cell_codes(block_model)
     density = block_model["bulk_density"].values.astype(np.float64)
     base = (code != OUTSIDE).any(axis=0)
@@ -119,7 +164,6 @@ def make_setup(
         footprints = np.array([_footprint(lattice, base, cell) for cell in experiment.load_cells])
     else:
         footprints = (base / base.sum())[None]
-    draw = experiment.is_draw
     return Setup(
         experiment=experiment,
         lattice=lattice,
@@ -127,9 +171,11 @@ def make_setup(
         cell_weight=(density.ravel() * GRAVITY * lattice.cell_volume).astype(dtype),
         base=base,
         footprints=footprints,
-        fill_levels=() if draw else fill_levels(experiment, rows),
-        masses=reading_masses(experiment, rows) if draw else (),
-        openings=tuple(_openings(experiment, lattice, code)) if draw else (),
+        fill_levels=levels,
+        masses=reading_masses(experiment, rows) if experiment.is_draw else (),
+        openings=tuple(_openings(experiment, lattice, code)) if experiment.is_draw else (),
+        true_levels=true_levels,
+        effects=active,
     )
 
 
@@ -153,6 +199,7 @@ def simulate(
     packing: np.random.Generator,
     flow: np.random.Generator | None = None,
     observe: Observer | None = None,
+    inspect: Inspector | None = None,
 ) -> Readings:
     """Run one replicate and read its base.
 
@@ -161,6 +208,7 @@ def simulate(
     packing : stream that draws s for each cell, and anew where a cell has moved
     flow : stream of the void diffusion; a draw experiment needs it
     observe : called at each reading with the state of the lattice, to reduce fields in place
+    inspect : called at each reading with its sweep, whose arrays the next one may reuse
 
     Raises
     ------
@@ -168,68 +216,63 @@ def simulate(
         If a sweep does not return the weight that was put in.
     """
     if setup.masses:
-        return _simulate_draw(setup, parameters, packing, flow, observe)
-    return _simulate_filling(setup, parameters, packing, observe)
+        return _simulate_draw(setup, parameters, packing, flow, observe, inspect)
+    return _simulate_filling(setup, parameters, packing, observe, inspect)
 
 
-def _simulate_filling(setup, parameters, packing, observe):
+def _simulate_filling(setup, parameters, packing, observe, inspect):
     lattice = setup.lattice
-    spread = _Spreading(setup, parameters, packing)
-    weight = setup.cell_weight.reshape(lattice.shape)
-    shed = np.full(lattice.shape, 1.0 - parameters.E, dtype=weight.dtype)
-    identity = np.arange(weight.size, dtype=np.int32).reshape(lattice.shape)
-    out = _Recorder(setup, spread.negative_share)
-    for t, height in enumerate(setup.fill_levels):
+    ground = _Ground(setup, parameters, packing)
+    shape = lattice.shape
+    weight, shed = (a.reshape(shape) for a in (ground.cells.weight, ground.cells.shed_fraction))
+    identity = np.arange(weight.size, dtype=np.int32).reshape(shape)
+    out = _Recorder(setup, ground.negative_share, observe is not None, inspect)
+    for t, height in enumerate(setup.true_levels):
         levels, fraction = levels_of(height, lattice.cell_size)
         if levels == lattice.nz:  # the top level's density is scaled in the block model already
             fraction = min(fraction / lattice.top_fraction, 1.0)
-        load = out.sweep(
-            t,
-            (weight[:levels], shed[:levels], spread.edge[:levels], spread.corner[:levels]),
-            setup.code[:levels],
-            parameters.R,
-            fraction,
-            observe is not None,
-        )
+        code = setup.code[:levels]
+        cells = _Cells(weight[:levels], shed[:levels], ground.edge[:levels], ground.corner[:levels])
+        if setup.acts_on("state"):
+            cells, coupling = ground.at_rest(code, cells.with_top(fraction))
+            load = out.sweep(t, cells, code, parameters.R, 1.0, coupling)
+        else:
+            load = out.sweep(t, cells, code, parameters.R, fraction)
         if observe is not None:
-            observe(t, setup.code[:levels], identity[:levels], load)
-    return out.readings
+            observe(t, code, identity[:levels], load)
+    return out.finish()
 
 
-def _simulate_draw(setup, parameters, packing, flow, observe):
+def _simulate_draw(setup, parameters, packing, flow, observe, inspect):
     lattice, dtype = setup.lattice, setup.cell_weight.dtype
-    spread = _Spreading(setup, parameters, packing)
+    ground = _Ground(setup, parameters, packing)
+    cell_mass = ground.cells.weight.astype(np.float64) / GRAVITY
     state = new_flow_state(setup.code, setup.openings)
-    shed_own = np.full(setup.cell_weight.shape, 1.0 - parameters.E, dtype=dtype)
     weight, shed = np.zeros(lattice.shape, dtype), np.zeros(lattice.shape, dtype)
-    out = _Recorder(setup, spread.negative_share)
+    out = _Recorder(setup, ground.negative_share, observe is not None, inspect)
     readings = out.readings
     readings.movement_zone_height = np.zeros(setup.times)
     readings.movement_zone_width = np.zeros(setup.times)
     readings.replicate_mass_drawn = np.zeros(setup.times)
     readings.drawpoint_shortfall = np.zeros(len(setup.openings))
-    for t in _draw(setup, parameters, state, flow, readings.drawpoint_shortfall):
-        spread.redraw(state.moved)
+    for t in _draw(setup, parameters, cell_mass, state, flow, readings.drawpoint_shortfall):
+        ground.redraw(state.moved, state.cell_id, setup.masses[t])
         heights, widths = zone_geometry(state, lattice.cell_size)
         shed_zone = parameters.shed_in_zone(heights).astype(dtype)
         place_cells(
             state.code,
             state.cell_id,
             state.zone,
-            setup.cell_weight,
-            shed_own,
+            ground.cells.weight,
+            ground.cells.shed_fraction,
             shed_zone,
             weight,
             shed,
         )
-        load = out.sweep(
-            t,
-            (weight, shed, spread.edge, spread.corner),
-            state.code,
-            parameters.R,
-            1.0,
-            observe is not None,
-        )
+        cells, coupling = _Cells(weight, shed, ground.edge, ground.corner), UNCOUPLED
+        if setup.acts_on("state"):
+            cells, coupling = ground.in_draw(state, heights, cells)
+        load = out.sweep(t, cells, state.code, parameters.R, 1.0, coupling)
         drawn = state.counters[DRAWN_CELLS]
         readings.movement_zone_height[t] = heights.max()
         readings.movement_zone_width[t] = widths.max()
@@ -241,12 +284,13 @@ def _simulate_draw(setup, parameters, packing, flow, observe):
     readings.drawn_cell = state.drawn_cell[:drawn].copy()
     readings.drawn_drawpoint = state.drawn_drawpoint[:drawn].copy()
     readings.drawn_mass = state.drawn_mass[:drawn].copy()
-    return readings
+    return out.finish()
 
 
 def _draw(
     setup: Setup,
     parameters: Parameters,
+    cell_mass: np.ndarray,
     state: FlowState,
     flow: np.random.Generator,
     shortfall: np.ndarray,
@@ -256,7 +300,6 @@ def _draw(
     A drawpoint with no granular cell left leaves the rest of its visit undrawn: what is missing
     is added to `shortfall` (drawpoint) in kg, and the schedule goes on.
     """
-    cell_mass = setup.cell_weight.astype(np.float64) / GRAVITY
     chances = climb_chances(parameters.exponent)
     missing = 0.0
     t = 0
@@ -310,27 +353,118 @@ def _openings(experiment: Experiment, lattice: Lattice, code: np.ndarray) -> Ite
         yield np.column_stack([lowest[j, i], j, i])
 
 
-class _Spreading:
-    """The packing's s as spreading weights (z, y, x), redrawn where cells have moved."""
+class _Cells(NamedTuple):
+    """What a sweep takes of each cell, (z, y, x)."""
+
+    weight: np.ndarray
+    shed_fraction: np.ndarray
+    edge: np.ndarray
+    corner: np.ndarray
+
+    def with_top(self, fraction: float) -> _Cells:
+        """The same with the top level's weights scaled to its filled fraction."""
+        weight = self.weight.copy()
+        weight[-1] *= fraction
+        return self._replace(weight=weight)
+
+
+class _Ground:
+    """One replicate's packing, as effects leave it, and its spreading weights (z, y, x)."""
 
     def __init__(self, setup: Setup, parameters: Parameters, packing: np.random.Generator):
-        self._mean, self._std = parameters.s_mean, parameters.s_std
-        self._rule, self._rng = setup.experiment.stress.rule, packing
+        self._setup, self._parameters, self._rng = setup, parameters, packing
         self._dtype = setup.cell_weight.dtype
-        s = self._draw(setup.code.shape)
+        weight = setup.cell_weight
+        cells = Packing(
+            experiment=setup.experiment,
+            lattice=setup.lattice,
+            ground=setup.code.ravel() == STAGNANT,
+            weight=weight,
+            shed_fraction=np.full(weight.shape, 1.0 - parameters.E, dtype=self._dtype),
+            s_shift=0.0,
+            persistence=0.0,
+            random=packing,
+        )
+        if setup.acts_on("packing"):
+            cells = apply(setup.effects, "packing", replace(cells, random=packing.spawn(1)[0]))
+            stored = {n: getattr(cells, n).astype(self._dtype) for n in ("weight", "shed_fraction")}
+            cells = replace(cells, **stored)
+        self.cells = cells
+        s = self._draw(setup.code.shape, np.arange(weight.size).reshape(setup.code.shape))
         self.edge, self.corner = spreading_weights(s, self._rule, self._dtype)
         ground = setup.code == STAGNANT
         self.negative_share = np.count_nonzero(ground & (s < 0)) / np.count_nonzero(ground)
+        self._increments = np.array([0.0, *(end for _, end in visits(setup.experiment))])
+        self._drawn = 0.0  # increments so far, and when the cell at each place came
+        self._came = np.zeros(setup.code.shape if setup.acts_on("state") else 0)
 
-    def _draw(self, shape):
-        return self._mean + self._std * self._rng.standard_normal(shape, dtype=np.float32)
+    @property
+    def _rule(self) -> str:
+        return self._setup.experiment.stress.rule
 
-    def redraw(self, moved: np.ndarray) -> None:
-        """New s where `moved` is set, in array order; clears the flags."""
+    def _draw(self, shape, identity):
+        parameters = self._parameters
+        s = self._rng.standard_normal(shape, dtype=np.float32)
+        s = parameters.s_mean + parameters.s_std * s
+        shift = self.cells.s_shift
+        return s if np.ndim(shift) == 0 else s + shift[identity]
+
+    def redraw(self, moved: np.ndarray, cell_id: np.ndarray, mass: float) -> None:
+        """New s where `moved` is set, in array order, after `mass` kg; clears the flags."""
         places = np.flatnonzero(moved)
-        edge, corner = spreading_weights(self._draw(len(places)), self._rule, self._dtype)
-        self.edge.flat[places], self.corner.flat[places] = edge, corner
+        s = self._draw(len(places), np.maximum(cell_id.flat[places], 0))
+        weights = spreading_weights(s, self._rule, self._dtype)
+        if self.cells.persistence > 0.0:
+            old = self.edge.flat[places], self.corner.flat[places]
+            weights = _mixed(old, weights, self.cells.persistence)
+        self.edge.flat[places], self.corner.flat[places] = weights
+        self._drawn = np.interp(mass, self._increments, np.arange(len(self._increments)))
+        if self._came.size:
+            self._came.flat[places] = self._drawn
         moved[:] = False
+
+    def at_rest(self, code: np.ndarray, cells: _Cells) -> tuple[_Cells, Coupling]:
+        """Cells and coupling of a filling, through the state effects."""
+        nowhere = np.full(code.shape, -1, dtype=np.int16)
+        own = cells.shed_fraction
+        return self._through_effects(code, nowhere, nowhere, np.zeros(0), own, cells)
+
+    def in_draw(
+        self, state: FlowState, heights: np.ndarray, cells: _Cells
+    ) -> tuple[_Cells, Coupling]:
+        """Cells and coupling during draw, through the state effects."""
+        root = np.where(state.zone >= 0, state.zone_root[state.zone], np.int16(-1))
+        own = self.cells.shed_fraction[np.maximum(state.cell_id, 0)]
+        return self._through_effects(state.code, state.zone, root, heights, own, cells)
+
+    def _through_effects(self, code, zone, zone_root, heights, own_shed, cells):
+        state = State(
+            experiment=self._setup.experiment,
+            lattice=self._setup.lattice,
+            code=code,
+            zone=zone,
+            zone_root=zone_root,
+            zone_height=heights,
+            own_shed=own_shed,
+            steps_at_rest=self._drawn - self._came[: code.shape[0]],
+            relaxation=self._parameters.R,
+            coupling=UNCOUPLED,
+            **cells._asdict(),
+        )
+        state = apply(self._setup.effects, "state", state)
+        parts = (getattr(state, name).astype(self._dtype, copy=False) for name in _Cells._fields)
+        return _Cells(*map(np.ascontiguousarray, parts)), state.coupling
+
+
+def _mixed(old, new, persistence):
+    """Edge and corner weights whose β are a mix of the old and the new β."""
+    shares = []
+    for edge, corner in (old, new):
+        edge, corner = np.float64(edge), np.float64(corner)
+        total = 1.0 + 4.0 * edge + 4.0 * corner
+        shares.append(np.array([1.0 / total, edge / total, corner / total]))
+    down, edge, corner = persistence * shares[0] + (1.0 - persistence) * shares[1]
+    return edge / down, corner / down
 
 
 @dataclass
@@ -339,6 +473,8 @@ class _Recorder:
 
     setup: Setup
     negative_s_share: float
+    keeps_load: bool
+    inspect: Inspector | None
     readings: Readings = field(init=False)
 
     def __post_init__(self):
@@ -354,14 +490,28 @@ class _Recorder:
             shape = (times, *self.setup.lattice.shape)
             self.readings.replicate_vertical_stress = np.full(shape, np.nan, dtype=np.float32)
 
-    def sweep(self, t, cells, code, relaxation, top_fraction, keep):
-        """One sweep, read at time `t`; returns the carried load (z, y, x) in N if `keep`."""
+    def finish(self) -> Readings:
+        """The readings, as the sensors give them."""
+        setup, readings = self.setup, self.readings
+        names = [cell.name for cell in load_cells(setup.experiment)]
+        for one in setup.effects:
+            if one.effect.readings is not None and not one.is_neutral:
+                masses = np.array(setup.masses or np.zeros(setup.times))
+                reading = Reading(readings.vertical_stress, names.index(one.load_cell), masses)
+                readings.vertical_stress = one.effect.readings(reading, one.values)
+        return readings
+
+    def sweep(self, t, cells, code, relaxation, top_fraction, coupling=UNCOUPLED):
+        """One sweep, read at time `t`; returns the carried load (z, y, x) in N where kept."""
         setup, readings = self.setup, self.readings
         fields = readings.replicate_vertical_stress
-        shape = code.shape if keep or fields is not None else (0, 0, 0)
+        keep = self.keeps_load or self.inspect is not None or fields is not None
+        shape = code.shape if keep else (0, 0, 0)
         load = np.zeros(shape, dtype=setup.cell_weight.dtype)
         base_load = np.zeros(code.shape[1:])
-        weight, shed = stress_sweep(*cells, code, relaxation, top_fraction, load, base_load)
+        weight, shed = stress_sweep(
+            *cells, code, relaxation, top_fraction, load, base_load, coupling
+        )
         error = abs(weight - base_load.sum() - shed) / weight
         if not error <= BALANCE_TOLERANCE:
             raise WeightBalanceError(
@@ -376,4 +526,8 @@ class _Recorder:
         readings.weight_balance_error[t] = error
         if fields is not None:
             fields[t, : len(load)] = load / setup.lattice.cell_area * KPA
+        if self.inspect is not None:
+            self.inspect(
+                t, Sweep(*cells, code, relaxation, top_fraction, coupling, load, base_load)
+            )
         return load

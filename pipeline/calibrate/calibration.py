@@ -226,6 +226,11 @@ def _only_measured(setup: Setup, rows: Sequence[MeasuredRow]) -> Setup:
         setup,
         to_the_end=False,
         fill_levels=tuple(h for h in setup.fill_levels if _near(h, levels)),
+        true_levels=tuple(
+            true
+            for h, true in zip(setup.fill_levels, setup.true_levels, strict=True)
+            if _near(h, levels)
+        ),
         masses=tuple(m for m in setup.masses if _near(m, masses)),
     )
 
@@ -391,10 +396,10 @@ def _derived(experiment: Experiment, parameters: Parameters, entry: dict) -> dic
             "interval_90": [length(E) for E in interval] if interval else None,
             "unit": "m",
         },
-        "hydraulic_radius": {"value": hydraulic_radius(experiment), "unit": "m"},
+        "hydraulic_radius": {"value": experiment.geometry.hydraulic_radius, "unit": "m"},
     }
     if experiment.walls is not None and experiment.walls.friction_angle > 0:
-        per_length = hydraulic_radius(experiment) / math.tan(
+        per_length = experiment.geometry.hydraulic_radius / math.tan(
             math.radians(experiment.walls.friction_angle)
         )
         derived["janssen_K"] = {
@@ -403,11 +408,3 @@ def _derived(experiment: Experiment, parameters: Parameters, entry: dict) -> dic
             "unit": "1",
         }
     return derived
-
-
-def hydraulic_radius(experiment: Experiment) -> float:
-    """Area over perimeter of the declared base, m."""
-    g = experiment.geometry
-    if g.diameter is not None:
-        return g.diameter / 4.0
-    return g.width * g.length / (2.0 * (g.width + g.length))

@@ -7,9 +7,7 @@ above it.
 
 import math
 from collections.abc import Callable, Iterator
-from importlib.util import find_spec
 from pathlib import Path
-from pkgutil import iter_modules
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
@@ -21,6 +19,7 @@ from pydantic import (
     model_validator,
 )
 
+from pipeline.config.effects import EffectBlock, effects_fit
 from pipeline.config.messages import (
     NAME_PATTERN,
     Found,
@@ -57,25 +56,6 @@ Parameter = Literal["E", "s", "s.mean", "s.std", "E_min", "R", "exponent", "bulk
 
 DRAW_PARAMETERS = ("E_min", "R", "exponent", "bulking")
 """Parameters that act only while material is drawn."""
-
-
-def known_effects() -> tuple[str, ...]:
-    """Names of the effects that exist: the public modules of the package ``pipeline.effects``."""
-    package = find_spec("pipeline.effects")
-    if package is None:
-        return ()
-    modules = iter_modules(package.submodule_search_locations)
-    return tuple(sorted(module.name for module in modules if not module.name.startswith("_")))
-
-
-def unknown_effect(name: str) -> str | None:
-    """What to say of an effect's name; None when the effect exists."""
-    known = known_effects()
-    if name in known:
-        return None
-    if not known:
-        return "unknown effect; no effects exist in this version, leave it out"
-    return "unknown effect" + did_you_mean(name, known, "known effects:")
 
 
 class Strict(BaseModel):
@@ -179,6 +159,13 @@ class Geometry(Strict):
         if isinstance(self.mask, CylinderMask):
             return self.mask.diameter or min(self.width, self.length)
         return None
+
+    @property
+    def hydraulic_radius(self) -> float:
+        """Area over perimeter of the declared base, m."""
+        if self.diameter is not None:
+            return self.diameter / 4
+        return self.width * self.length / (2 * (self.width + self.length))
 
 
 # ---------------------------------------------------------------------------------------------
@@ -611,12 +598,6 @@ def _calibrate_is_possible(calibrate, draw) -> Iterator[Found]:
             yield ("calibrate", place), "acts only during draw, and this experiment has no draw"
 
 
-def _effects_exist(effects) -> Iterator[Found]:
-    for name in effects:
-        if text := unknown_effect(name):
-            yield ("effects", name), text
-
-
 def _assumed_keys_exist(assumed) -> Iterator[Found]:
     keys = [field.alias or name for name, field in Experiment.model_fields.items()]
     for place, entry in enumerate(assumed):
@@ -656,8 +637,8 @@ class Experiment(Strict):
     """Base areas over which vertical stress is averaged."""
     calibrate: tuple[Parameter, ...] = ()
     """Parameters that the experiment's own calibration fits to its measured rows."""
-    effects: dict[str, dict[str, Number]] = Field(default_factory=dict)
-    """Declared effects: name to parameters."""
+    effects: EffectBlock = Field(default_factory=dict)
+    """Declared effects: name to parameters; those of a load cell: name to load cell to them."""
     replicates: whole("a whole number from 1 to 1000000", ge=1, le=10**6) = 10
     """Number of replicates."""
     seed: whole("a whole number from 0 to 2^63 - 1", ge=0, le=2**63 - 1) = 0
@@ -689,7 +670,7 @@ class Experiment(Strict):
         _draw_starts_full,
         _readings_end_with_the_draw,
         _calibrate_is_possible,
-        _effects_exist,
+        effects_fit,
         _assumed_keys_exist,
     )
 

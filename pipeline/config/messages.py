@@ -81,6 +81,12 @@ def did_you_mean(word: Any, known: Iterable[str], otherwise: str) -> str:
     return f"; {otherwise} {', '.join(known)}" if known else ""
 
 
+def one_of(word: Any, known: list[str]) -> str:
+    """'expected one of a, b, c', with the nearest one when the word is close to it."""
+    near = did_you_mean(word, known, "") if isinstance(word, str) else ""
+    return f"expected one of {', '.join(known)}" + (near if near.endswith("?") else "")
+
+
 def dotted(location: Location) -> str:
     """('draw', 0, 'mass') → 'draw[0].mass'."""
     text = ""
@@ -238,10 +244,10 @@ def _translate(model: type[BaseModel], detail: Mapping, raw: Any) -> Iterator[Fo
             if len(known) == 1:
                 yield location, f"expected {_description(model, detail['loc'])}"
             else:
-                yield location, _one_of(detail["input"], known)
+                yield location, one_of(detail["input"], known)
         case "union_tag_invalid":
             known = re.findall(r"'([^']*)'", detail["ctx"]["expected_tags"])
-            yield (*location, "type"), _one_of(detail["ctx"]["tag"], known)
+            yield (*location, "type"), one_of(detail["ctx"]["tag"], known)
         case "union_tag_not_found" | "model_type" | "model_attributes_type" | "dict_type":
             if isinstance(detail["input"], Mapping):
                 yield (*location, "type"), f"missing; expected one of {', '.join(_tags(models))}"
@@ -268,11 +274,6 @@ def _translate(model: type[BaseModel], detail: Mapping, raw: Any) -> Iterator[Fo
             yield location, "refers to itself; write the value out"
         case _:
             yield location, f"expected {_description(model, detail['loc'])}"
-
-
-def _one_of(word: Any, known: list[str]) -> str:
-    near = did_you_mean(word, known, "") if isinstance(word, str) else ""
-    return f"expected one of {', '.join(known)}" + (near if near.endswith("?") else "")
 
 
 def _in_file(location: Location, raw: Any, keep_last: bool) -> Location:

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, PrivateAttr, Tag
 
+from pipeline.config.effects import unknown_effect
 from pipeline.config.experiment import (
     DataLabel,
     FileStem,
@@ -13,7 +14,6 @@ from pipeline.config.experiment import (
     Parameter,
     Strict,
     Text,
-    unknown_effect,
 )
 from pipeline.config.messages import Found, did_you_mean, quantity, whole
 

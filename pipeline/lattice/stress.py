@@ -9,6 +9,7 @@ sweep written for the eye.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -80,18 +81,50 @@ def closed_form_stress(
     return bulk_density * gravity * cell_size * cells
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+class Coupling(NamedTuple):
+    """What a sweep does beyond eqs 1-4; each part is off as it stands here.
+
+    Fields that are arrays are (z, y, x), or (0, 0, 0) where off.
+
+    - ``relaxation``: R of each receiver in the movement zone, instead of one R. Where R differs
+      from receiver to receiver, it matters without a stagnant one among them too.
+    - ``straight``: factor on the weight of each cell's receiver straight below.
+    - ``lean_x``, ``lean_y``: κ; the weight of a receiver at offset (x, y) is multiplied by
+      exp(κ_x x + κ_y y).
+    - ``zone_root`` int16: label of the connected movement zone at a place, −1 outside; with
+      ``own_shed``, 1 − E of the cell in stagnant ground, and ``transfer`` (0-1): that part of the
+      load that a zone sheds beyond its E goes to the stagnant cells beside it one level below.
+    - ``cohesion``: N; a movement-zone cell hands up to it to each stagnant cell beside it.
+    - ``slope``: of log(1 − E) in log(load / ``reference``), load and reference in N.
+    """
+
+    relaxation: np.ndarray = np.zeros((0, 0, 0), np.float32)
+    straight: np.ndarray = np.zeros((0, 0, 0), np.float32)
+    lean_x: float = 0.0
+    lean_y: float = 0.0
+    zone_root: np.ndarray = np.zeros((0, 0, 0), np.int16)
+    own_shed: np.ndarray = np.zeros((0, 0, 0), np.float32)
+    transfer: float = 0.0
+    cohesion: float = 0.0
+    slope: float = 0.0
+    reference: float = 1.0
+
+
+UNCOUPLED = Coupling()
+
+
 def stress_sweep(
-    weight,
-    shed_fraction,
-    edge,
-    corner,
-    code,
-    relaxation,
-    top_fraction,
-    load,
-    base_load,
-):
+    weight: np.ndarray,
+    shed_fraction: np.ndarray,
+    edge: np.ndarray,
+    corner: np.ndarray,
+    code: np.ndarray,
+    relaxation: float,
+    top_fraction: float,
+    load: np.ndarray,
+    base_load: np.ndarray,
+    coupling: Coupling = UNCOUPLED,
+) -> tuple[float, float]:
     """Carry all weights down the lattice.
 
     Parameters
@@ -113,26 +146,57 @@ def stress_sweep(
         Receives P of eq 2, N; a load on its way down through void cells is not in it.
     base_load : (y, x) float64
         Receives the load that each base place (or the rock below a column) takes, N.
+    coupling : what effects add to the sweep
 
     Returns
     -------
     total_weight, shed : float
-        Weight put in and load shed by (1 − E), N. Nothing vanishes:
-        total_weight = base_load.sum() + shed.
+        Weight put in and load shed, N. Nothing vanishes: total_weight = base_load.sum() + shed.
     """
+    return _sweep(
+        weight,
+        shed_fraction,
+        edge,
+        corner,
+        code,
+        float(relaxation),
+        float(top_fraction),
+        load,
+        base_load,
+        coupling,
+    )
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _sweep(
+    weight,
+    shed_fraction,
+    edge,
+    corner,
+    code,
+    relaxation,
+    top_fraction,
+    load,
+    base_load,
+    coupling,
+):
     nz, ny, nx = weight.shape
     keep = load.shape[0] > 0
+    lower, upper = math.exp(-coupling.lean_y), math.exp(coupling.lean_y)
+    left, right = math.exp(-coupling.lean_x), math.exp(coupling.lean_x)
+    shares_excess = coupling.transfer > 0.0
+    excess = np.zeros(coupling.zone_root.max() + 1 if shares_excess else 0)
+    straight_share = coupling.straight.shape[0] > 0
     carried = np.zeros((ny, nx))
     straight = np.zeros((ny, nx))  # handed straight down because no receiver is granular
     down = np.zeros((ny + 2, nx + 2))  # transmitted load per unit of spreading weight, and that
     sides = np.zeros((ny + 2, nx + 2))  # times the edge weight,
     corners = np.zeros((ny + 2, nx + 2))  # times the corner weight
     receptivity = np.zeros((ny + 2, nx + 2))
-    relaxed = max(relaxation, LEAST_RECEPTIVITY)
     total_weight = 0.0
     shed = 0.0
     base_load[:, :] = 0.0
-    _receptivity(code[nz - 1], relaxed, receptivity)
+    _receptivity(code, nz - 1, relaxation, coupling.relaxation, receptivity)
     for k in range(nz - 1, -1, -1):
         scale = top_fraction if k == nz - 1 else 1.0
         for y in range(ny):
@@ -140,13 +204,23 @@ def stress_sweep(
                 own = scale * weight[k, y, x]
                 total_weight += own
                 from_edges = (
-                    sides[y, x + 1] + sides[y + 1, x] + sides[y + 1, x + 2] + sides[y + 2, x + 1]
+                    upper * sides[y, x + 1]
+                    + right * sides[y + 1, x]
+                    + left * sides[y + 1, x + 2]
+                    + lower * sides[y + 2, x + 1]
                 )
                 from_corners = (
-                    corners[y, x] + corners[y, x + 2] + corners[y + 2, x] + corners[y + 2, x + 2]
+                    upper * right * corners[y, x]
+                    + upper * left * corners[y, x + 2]
+                    + lower * right * corners[y + 2, x]
+                    + lower * left * corners[y + 2, x + 2]
                 )
                 received = down[y + 1, x + 1] + from_edges + from_corners
                 carried[y, x] = own + receptivity[y + 1, x + 1] * received + straight[y, x]
+        if shares_excess:
+            shed -= _share_excess(code[k], coupling.zone_root[k], excess, carried)
+        if coupling.cohesion > 0.0:
+            carried += _hand_aside(code[k], carried, coupling.cohesion)
         if keep:
             for y in range(ny):
                 for x in range(nx):
@@ -154,32 +228,44 @@ def stress_sweep(
                     load[k, y, x] = carried[y, x] if granular else 0.0
         if k == 0:
             break
-        _receptivity(code[k - 1], relaxed, receptivity)
+        _receptivity(code, k - 1, relaxation, coupling.relaxation, receptivity)
         for y in range(ny):
             for x in range(nx):
                 cell = code[k, y, x]
                 if cell in (STAGNANT, MOVEMENT):
-                    lost = carried[y, x] * shed_fraction[k, y, x]
+                    fraction = np.float64(shed_fraction[k, y, x])
+                    by_stress = 1.0
+                    if coupling.slope != 0.0 and carried[y, x] > 0.0:
+                        by_stress = (carried[y, x] / coupling.reference) ** coupling.slope
+                        fraction = min(fraction * by_stress, 1.0)
+                    lost = carried[y, x] * fraction
                     given = carried[y, x] - lost
                     shed += lost
+                    if shares_excess and cell == MOVEMENT:
+                        beyond = fraction - by_stress * coupling.own_shed[k, y, x]
+                        excess[coupling.zone_root[k, y, x]] += (
+                            coupling.transfer * max(beyond, 0.0) * carried[y, x]
+                        )
                     beside = (
-                        receptivity[y, x + 1]
-                        + receptivity[y + 1, x]
-                        + receptivity[y + 1, x + 2]
-                        + receptivity[y + 2, x + 1]
+                        lower * receptivity[y, x + 1]
+                        + left * receptivity[y + 1, x]
+                        + right * receptivity[y + 1, x + 2]
+                        + upper * receptivity[y + 2, x + 1]
                     )
                     diagonal = (
-                        receptivity[y, x]
-                        + receptivity[y, x + 2]
-                        + receptivity[y + 2, x]
-                        + receptivity[y + 2, x + 2]
+                        lower * left * receptivity[y, x]
+                        + lower * right * receptivity[y, x + 2]
+                        + upper * left * receptivity[y + 2, x]
+                        + upper * right * receptivity[y + 2, x + 2]
                     )
+                    w_down = np.float64(coupling.straight[k, y, x]) if straight_share else 1.0
                     w_edge = np.float64(edge[k, y, x])
                     w_corner = np.float64(corner[k, y, x])
-                    total = receptivity[y + 1, x + 1] + w_edge * beside + w_corner * diagonal
+                    total = w_down * receptivity[y + 1, x + 1] + w_edge * beside
+                    total += w_corner * diagonal
                     if total > 0.0:
                         unit = given / total
-                        down[y + 1, x + 1] = unit
+                        down[y + 1, x + 1] = unit * w_down
                         sides[y + 1, x + 1] = unit * w_edge
                         corners[y + 1, x + 1] = unit * w_corner
                         straight[y, x] = 0.0
@@ -198,15 +284,93 @@ def stress_sweep(
 
 
 @njit(nogil=True, cache=True)
-def _receptivity(code, relaxed, receptivity):
-    """Weight factor of each receiver of a level: 0 if not granular, R in the movement zone."""
-    ny, nx = code.shape
+def _receptivity(code, k, relaxation, field, receptivity):
+    """Weight factor of each receiver of level k: 0 if not granular, R in the movement zone."""
+    _, ny, nx = code.shape
+    by_place = field.shape[0] > 0
     for y in range(ny):
         for x in range(nx):
-            cell = code[y, x]
-            receptivity[y + 1, x + 1] = (
-                1.0 if cell == STAGNANT else (relaxed if cell == MOVEMENT else 0.0)
-            )
+            cell = code[k, y, x]
+            factor = 1.0 if cell == STAGNANT else 0.0
+            if cell == MOVEMENT:
+                r = np.float64(field[k, y, x]) if by_place else relaxation
+                factor = max(r, LEAST_RECEPTIVITY)
+            receptivity[y + 1, x + 1] = factor
+
+
+@njit(nogil=True, cache=True)
+def _share_excess(code, zone_root, excess, carried):
+    """Hand each zone's excess in equal shares to the stagnant cells that touch it in this level.
+
+    `excess` (zone label) in N is emptied; what finds no stagnant cell stays shed. Returns the load
+    handed on, N.
+    """
+    if excess.sum() == 0.0:
+        return 0.0
+    ny, nx = code.shape
+    touching = np.zeros(len(excess))
+    found = np.empty(9, np.int64)
+    for turn in range(2):  # count the cells that touch each zone, then hand out
+        for y in range(ny):
+            for x in range(nx):
+                if code[y, x] != STAGNANT:
+                    continue
+                for i in range(_zones_around(zone_root, y, x, found)):
+                    root = found[i]
+                    if turn == 0:
+                        touching[root] += 1.0
+                    else:
+                        carried[y, x] += excess[root] / touching[root]
+    handed = 0.0
+    for root in range(len(excess)):
+        if touching[root] > 0.0:
+            handed += excess[root]
+        excess[root] = 0.0
+    return handed
+
+
+@njit(nogil=True, cache=True)
+def _zones_around(zone_root, y, x, found):
+    """Zones of the eight cells around (y, x) in its level, each once, into `found`; how many."""
+    ny, nx = zone_root.shape
+    count = 0
+    for yy in range(max(y - 1, 0), min(y + 2, ny)):
+        for xx in range(max(x - 1, 0), min(x + 2, nx)):
+            root = zone_root[yy, xx]
+            known = root < 0
+            for i in range(count):
+                known |= found[i] == root
+            if not known:
+                found[count] = root
+                count += 1
+    return count
+
+
+@njit(nogil=True, cache=True)
+def _hand_aside(code, carried, cohesion):
+    """Change of the loads (y, x) of a level by what movement-zone cells hand to their sides.
+
+    Each hands min(P / n, cohesion) to each of the n stagnant cells that share a face with it.
+    """
+    ny, nx = code.shape
+    change = np.zeros((ny, nx))
+    for y in range(ny):
+        for x in range(nx):
+            if code[y, x] != MOVEMENT:
+                continue
+            faces = 0
+            for dy, dx in ((-1, 0), (0, -1), (0, 1), (1, 0)):
+                if 0 <= y + dy < ny and 0 <= x + dx < nx:
+                    faces += code[y + dy, x + dx] == STAGNANT
+            if faces == 0:
+                continue
+            handed = min(carried[y, x] / faces, cohesion)
+            change[y, x] -= faces * handed
+            for dy, dx in ((-1, 0), (0, -1), (0, 1), (1, 0)):
+                inside = 0 <= y + dy < ny and 0 <= x + dx < nx
+                if inside and code[y + dy, x + dx] == STAGNANT:
+                    change[y + dy, x + dx] += handed
+    return change
 
 
 @njit(nogil=True, cache=True)

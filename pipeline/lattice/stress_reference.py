@@ -1,20 +1,32 @@
 """The stress sweep written for the eye: eqs 1-4 cell by cell, slow and obvious.
 
-The kernel of `stress.py` must equal it; nothing else uses it.
+The kernel of `stress.py` must equal it, couplings included; nothing else uses it.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pipeline.lattice.cells import MOVEMENT, OUTSIDE, STAGNANT
+from pipeline.lattice.stress import LEAST_RECEPTIVITY, UNCOUPLED, Coupling
 
 BELOW = ((0, 0),)
 EDGES = ((-1, 0), (0, -1), (0, 1), (1, 0))
 CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 
 
-def stress_sweep_reference(weight, shed_fraction, edge, corner, code, relaxation, top_fraction):
+def stress_sweep_reference(
+    weight,
+    shed_fraction,
+    edge,
+    corner,
+    code,
+    relaxation,
+    top_fraction,
+    coupling: Coupling = UNCOUPLED,
+):
     """Carry all weights down the lattice; arguments as in `stress.stress_sweep`.
 
     Returns
@@ -28,6 +40,7 @@ def stress_sweep_reference(weight, shed_fraction, edge, corner, code, relaxation
     base_load = np.zeros((ny, nx))
     handed_down = np.zeros((ny, nx))
     shares = np.zeros((ny, nx, 3, 3))  # what each cell of the level above gives to its nine
+    excess = {}  # movement zone → what it shed in the level above and others shall carry
     shed = 0.0
 
     def is_granular(k, y, x):
@@ -35,7 +48,6 @@ def stress_sweep_reference(weight, shed_fraction, edge, corner, code, relaxation
         return inside and code[k, y, x] in (STAGNANT, MOVEMENT)
 
     for k in reversed(range(nz)):
-        passing = handed_down.copy()
         for y in range(ny):
             for x in range(nx):
                 if not is_granular(k, y, x):
@@ -49,25 +61,36 @@ def stress_sweep_reference(weight, shed_fraction, edge, corner, code, relaxation
                     received += of_ring
                 own = float(weight[k, y, x]) * (top_fraction if k == nz - 1 else 1.0)
                 load[k, y, x] = own + received + handed_down[y, x]
-                passing[y, x] = load[k, y, x]
+        shed -= _arch(code[k], coupling, k, excess, load[k])
+        _hand_aside(code[k], coupling.cohesion, load[k])
+        passing = np.where(np.isin(code[k], (STAGNANT, MOVEMENT)), load[k], handed_down)
         if k == 0:
             return load, base_load + passing, shed
         shares[:] = 0.0
         handed_down[:] = 0.0
+        excess = {}
         for y in range(ny):
             for x in range(nx):
                 given = passing[y, x]
                 if is_granular(k, y, x):
-                    lost = load[k, y, x] * float(shed_fraction[k, y, x])
+                    fraction = _bent(shed_fraction[k, y, x], given, coupling)
+                    lost = given * fraction
                     shed += lost
-                    given = load[k, y, x] - lost
+                    if coupling.transfer > 0.0 and code[k, y, x] == MOVEMENT:
+                        own = coupling.own_shed[k, y, x]
+                        beyond = max(fraction - _bent(own, given, coupling, cap=math.inf), 0.0)
+                        root = coupling.zone_root[k, y, x]
+                        excess[root] = excess.get(root, 0.0) + coupling.transfer * beyond * given
+                    given -= lost
                     below = [
                         [(dy, dx) for dy, dx in ring if is_granular(k - 1, y + dy, x + dx)]
                         for ring in (BELOW, EDGES, CORNERS)
                     ]
-                    codes = [[code[k - 1, y + dy, x + dx] for dy, dx in ring] for ring in below]
-                    factors = _relaxation_factors(codes, relaxation)
-                    ring_weights = (1.0, float(edge[k, y, x]), float(corner[k, y, x]))
+                    factors = _receiver_factors(
+                        code[k - 1], below, y, x, k - 1, relaxation, coupling
+                    )
+                    straight = float(coupling.straight[k, y, x]) if coupling.straight.size else 1.0
+                    ring_weights = (straight, float(edge[k, y, x]), float(corner[k, y, x]))
                     total = sum(
                         w * sum(of_ring) for w, of_ring in zip(ring_weights, factors, strict=True)
                     )
@@ -82,7 +105,60 @@ def stress_sweep_reference(weight, shed_fraction, edge, corner, code, relaxation
                     handed_down[y, x] = given
 
 
-def _relaxation_factors(codes, relaxation):
-    """R for movement-zone receivers where at least one receiver is stagnant, else 1."""
-    mixed = any(STAGNANT in ring for ring in codes)
-    return [[relaxation if mixed and c == MOVEMENT else 1.0 for c in ring] for ring in codes]
+def _bent(fraction, load, coupling, cap=1.0):
+    """1 − E of a cell under its load."""
+    if coupling.slope == 0.0 or load == 0.0:
+        return float(fraction)
+    return min(float(fraction) * (load / coupling.reference) ** coupling.slope, cap)
+
+
+def _receiver_factors(below_code, below, y, x, k, relaxation, coupling):
+    """R and lean of the receivers of (y, x), ring by ring.
+
+    R acts on movement-zone receivers where at least one receiver is stagnant; an R of each place
+    acts everywhere.
+    """
+    by_place = coupling.relaxation.size > 0
+    mixed = any(below_code[y + dy, x + dx] == STAGNANT for ring in below for dy, dx in ring)
+
+    def factor(dy, dx):
+        r = 1.0
+        if below_code[y + dy, x + dx] == MOVEMENT and by_place:
+            r = max(float(coupling.relaxation[k, y + dy, x + dx]), LEAST_RECEPTIVITY)
+        elif below_code[y + dy, x + dx] == MOVEMENT and mixed:
+            r = relaxation
+        return r * math.exp(coupling.lean_x * dx) * math.exp(coupling.lean_y * dy)
+
+    return [[factor(dy, dx) for dy, dx in ring] for ring in below]
+
+
+def _arch(code, coupling, k, excess, load):
+    """Share each zone's excess among the stagnant cells that touch it; what was handed on, N."""
+    handed = 0.0
+    for root, force in excess.items():
+        touching = [
+            (y, x)
+            for y, x in np.argwhere(code == STAGNANT)
+            if root in coupling.zone_root[k, max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]
+        ]
+        for y, x in touching:
+            load[y, x] += force / len(touching)
+            handed += force / len(touching)
+    return handed
+
+
+def _hand_aside(code, cohesion, load):
+    """Let movement-zone cells hand load to the stagnant cells that share a face with them."""
+    before = load.copy()
+    for y, x in np.argwhere(code == MOVEMENT):
+        faces = [
+            (y + dy, x + dx)
+            for dy, dx in EDGES
+            if 0 <= y + dy < code.shape[0]
+            and 0 <= x + dx < code.shape[1]
+            and code[y + dy, x + dx] == STAGNANT
+        ]
+        for face in faces:
+            handed = min(before[y, x] / len(faces), cohesion)
+            load[face] += handed
+            load[y, x] -= handed

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,8 @@ from markupsafe import Markup
 
 from pipeline.config.experiment import Experiment
 from pipeline.config.measured import QUANTITIES
+from pipeline.config.messages import shown
+from pipeline.effects import declared_effects
 from pipeline.files.atomic import write_text
 from pipeline.report.draw_figures import draw_figures, draw_tables
 from pipeline.report.figures import panel_style
@@ -492,11 +494,7 @@ def setup_table(results: Results, data: Data) -> Table:
          "material.internal_friction_angle"),
         ("wall friction angle", experiment.walls and experiment.walls.friction_angle, "°",
          "walls.friction_angle"),
-        *(
-            (f"effect {effect}: {name}", value, "", f"effects.{effect}.{name}")
-            for effect, parameters in experiment.effects.items()
-            for name, value in parameters.items()
-        ),
+        *_effect_rows(experiment),
         ("replicates", experiment.replicates, "", "replicates"),
         ("seed", experiment.seed, "", "seed"),
     )  # fmt: skip
@@ -504,9 +502,21 @@ def setup_table(results: Results, data: Data) -> Table:
     for words, value, unit, key in rows:
         if value is not None:
             flag = ASSUMED if is_assumed(experiment, key) else ""
-            number = table.number(words, "value", value, None, unit)
-            table.rows.append([words, number, unit, flag])
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            cell = table.number(words, "value", value, None, unit) if is_number else shown(value)
+            table.rows.append([words, cell, unit, flag])
     return table.without_empty_columns()
+
+
+def _effect_rows(experiment: Experiment) -> Iterator[tuple]:
+    """The declared effects with all their values: words, value, unit, key."""
+    for active in declared_effects(experiment):
+        units = {p.name: p.unit for p in active.effect.parameters if p.unit != "1"}
+        place = f" of {active.load_cell}" if active.load_cell else ""
+        key = ".".join(filter(None, ("effects", active.name, active.load_cell)))
+        for name, value in active.values.items():
+            words = f"effect {active.name}{place}: {name}"
+            yield words, value, units.get(name, ""), f"{key}.{name}"
 
 
 def area_table(results: Results, data: Data) -> Table | None:

@@ -79,6 +79,12 @@ def source_digest(script: str) -> str:
     return _digest_with_imports(PACKAGE / "workflow" / "scripts" / f"{script}.py")
 
 
+def effects_digest() -> str:
+    """Digest of all effects: they are found by being in their folder, not by an import."""
+    modules = sorted((PACKAGE / "effects").glob("*.py"))
+    return _sha256("".join(f"{m.name}{_digest_with_imports(m)}" for m in modules))
+
+
 @cache
 def _digest_with_imports(path: Path) -> str:
     seen: dict[Path, str] = {}

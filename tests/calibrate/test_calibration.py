@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from pipeline.calibrate.calibration import SCALES, Z90, calibrate, hydraulic_radius
+from pipeline.calibrate.calibration import SCALES, Z90, calibrate
 from pipeline.config.load import check_measured
 from pipeline.config.measured import MeasuredRow
 from pipeline.lattice.block_model import build_block_model
@@ -118,7 +118,7 @@ def test_janssen_K_is_hydraulic_radius_over_attenuation_length_and_wall_friction
     length = 0.02 / (1 - E["value"])
     assert derived["attenuation_length"]["value"] == pytest.approx(length)
     radius = 0.70 * 0.23 / (2 * (0.70 + 0.23))  # the declared walls, not the lattice's
-    assert derived["hydraulic_radius"]["value"] == hydraulic_radius(experiment) == radius
+    assert derived["hydraulic_radius"]["value"] == experiment.geometry.hydraulic_radius == radius
     friction = math.tan(math.radians(25))
     assert derived["janssen_K"]["value"] == pytest.approx(radius / (length * friction))
     ends = sorted(radius * (1 - end) / (0.02 * friction) for end in E["interval_90"])

@@ -4,6 +4,8 @@ import copy
 import json
 import math
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,8 +14,9 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pipeline.config import experiment as experiment_module
-from pipeline.config.experiment import Experiment, known_effects
+from pipeline.config import effects as effects_module
+from pipeline.config.effects import known_effects
+from pipeline.config.experiment import Experiment
 from pipeline.config.load import (
     check_measured,
     digest,
@@ -125,12 +128,29 @@ def test_digest_sees_values_not_spelling(tmp_path):
     assert resolved(first)["replicates"] == 10
 
 
-def test_an_effect_exists_once_its_module_does(tmp_path, monkeypatch, message):
-    content = changed(STATIC, "effects", {"tilt": {"angle_x": 2.0}})
-    monkeypatch.setattr(experiment_module, "known_effects", lambda: ("tilt", "wall_friction"))
-    assert load_experiment(write(tmp_path, content)).effects == {"tilt": {"angle_x": 2.0}}
-    content["effects"] = {"wall_fricton": {}}
-    assert "did you mean wall_friction?" in message(load_experiment, write(tmp_path, content))
+def test_effects_are_read_with_numbers_options_and_load_cells(tmp_path):
+    content = changed(DRAW, "effects.wall_friction", {"K": 1, "reach": "face", "cap": False})
+    content = changed(content, "effects.sensor_gain", {"C1": {"gain": 1.1}})
+    loaded = load_experiment(write(tmp_path, content))
+    assert loaded.effects == content["effects"]
+    assert isinstance(loaded.effects["wall_friction"]["K"], float)
+    again = load_experiment(write(tmp_path, resolved(loaded), "again"))
+    assert digest(again) == digest(loaded)
+
+
+def test_effects_of_draw_may_stand_in_a_static_experiment(tmp_path):
+    content = changed(STATIC, "effects", {"arching": {"transfer": 0.5}, "arch_memory": {}})
+    assert load_experiment(write(tmp_path, content)).effects == content["effects"]
+
+
+def test_experiments_without_effects_load_without_the_catalogue(tmp_path):
+    path = write(tmp_path, changed(STATIC, "effects", {}))
+    code = (
+        "import sys; from pipeline.config.load import load_experiment; "
+        f"load_experiment({str(path)!r}); print('numpy' in sys.modules)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout == "False\n"
 
 
 def test_known_effects_are_the_public_modules_of_the_package(tmp_path, monkeypatch):
@@ -138,9 +158,9 @@ def test_known_effects_are_the_public_modules_of_the_package(tmp_path, monkeypat
         (tmp_path / f"{module}.py").touch()
 
     package = SimpleNamespace(submodule_search_locations=[str(tmp_path)])
-    monkeypatch.setattr(experiment_module, "find_spec", lambda name: package)
+    monkeypatch.setattr(effects_module, "find_spec", lambda name: package)
     assert known_effects() == ("tilt",)
-    monkeypatch.setattr(experiment_module, "find_spec", lambda name: None)
+    monkeypatch.setattr(effects_module, "find_spec", lambda name: None)
     assert known_effects() == ()
 
 

@@ -6,7 +6,6 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.calibrate.calibration import hydraulic_radius
 from pipeline.config.messages import ConfigError
 from pipeline.lattice.block_model import build_block_model, cell_codes, ground_mask, lattice_of
 from pipeline.lattice.cells import OUTSIDE, STAGNANT
@@ -39,7 +38,7 @@ def test_test_3_has_52_500_cells_and_says_what_was_rounded(published):
     assert model.attrs["lattice_notes"] == (
         "length 0.23 m is 11.5 cells of 0.02 m: the lattice has 12 (0.24 m); wall areas keep 0.23 m"
     )
-    assert hydraulic_radius(experiment) == pytest.approx(0.70 * 0.23 / (2 * 0.93))
+    assert experiment.geometry.hydraulic_radius == pytest.approx(0.70 * 0.23 / (2 * 0.93))
 
 
 def test_height_between_levels_is_noted_and_every_rounded_length_named(column):
@@ -85,7 +84,7 @@ def test_cylinder_mask_keeps_cells_whose_center_is_inside(column):
         [0, 0, 1, 0, 0],
     ]
     np.testing.assert_array_equal(mask, np.broadcast_to(expected, (10, 5, 5)))
-    assert hydraulic_radius(experiment) == pytest.approx(0.1)
+    assert experiment.geometry.hydraulic_radius == pytest.approx(0.1)
     model = build_block_model(experiment)
     assert (model["bulk_density"].values[~mask] == 0).all()
     assert (model["cell_id"].values[~mask] == -1).all()

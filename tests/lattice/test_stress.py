@@ -260,8 +260,8 @@ def test_a_lost_load_stops_the_run(column, monkeypatch):
     setup = make_setup(experiment, build_block_model(experiment))
 
     def leaky(*arguments):
-        arguments[-1][:] = 1.0
-        return 2.0 * arguments[-1].sum(), 0.0
+        arguments[-2][:] = 1.0
+        return 2.0 * arguments[-2].sum(), 0.0
 
     monkeypatch.setattr("pipeline.simulate.stress_sweep", leaky)
     with pytest.raises(WeightBalanceError, match=r"column: weight balance is off by 0\.5"):

@@ -1,5 +1,6 @@
 # An experiment from its file to its report.
 
+
 rule block_model:
     output:
         block_model="<results>/experiments/{experiment}/block_model.nc",

@@ -1,0 +1,1 @@
+"""How readings answer to parameters, effects and single cells."""
