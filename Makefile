@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 TARGETS ?=
-PYTEST_ARGS ?= -n 2
+PYTEST_ARGS ?= -n 2 --dist loadfile
 
 .PHONY: run test clean
 

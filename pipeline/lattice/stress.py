@@ -184,6 +184,7 @@ def _sweep(
     keep = load.shape[0] > 0
     lower, upper = math.exp(-coupling.lean_y), math.exp(coupling.lean_y)
     left, right = math.exp(-coupling.lean_x), math.exp(coupling.lean_x)
+    leaning = coupling.lean_x != 0.0 or coupling.lean_y != 0.0
     shares_excess = coupling.transfer > 0.0
     excess = np.zeros(coupling.zone_root.max() + 1 if shares_excess else 0)
     straight_share = coupling.straight.shape[0] > 0
@@ -203,18 +204,32 @@ def _sweep(
             for x in range(nx):
                 own = scale * weight[k, y, x]
                 total_weight += own
-                from_edges = (
-                    upper * sides[y, x + 1]
-                    + right * sides[y + 1, x]
-                    + left * sides[y + 1, x + 2]
-                    + lower * sides[y + 2, x + 1]
-                )
-                from_corners = (
-                    upper * right * corners[y, x]
-                    + upper * left * corners[y, x + 2]
-                    + lower * right * corners[y + 2, x]
-                    + lower * left * corners[y + 2, x + 2]
-                )
+                if leaning:
+                    from_edges = (
+                        upper * sides[y, x + 1]
+                        + right * sides[y + 1, x]
+                        + left * sides[y + 1, x + 2]
+                        + lower * sides[y + 2, x + 1]
+                    )
+                    from_corners = (
+                        upper * right * corners[y, x]
+                        + upper * left * corners[y, x + 2]
+                        + lower * right * corners[y + 2, x]
+                        + lower * left * corners[y + 2, x + 2]
+                    )
+                else:
+                    from_edges = (
+                        sides[y, x + 1]
+                        + sides[y + 1, x]
+                        + sides[y + 1, x + 2]
+                        + sides[y + 2, x + 1]
+                    )
+                    from_corners = (
+                        corners[y, x]
+                        + corners[y, x + 2]
+                        + corners[y + 2, x]
+                        + corners[y + 2, x + 2]
+                    )
                 received = down[y + 1, x + 1] + from_edges + from_corners
                 carried[y, x] = own + receptivity[y + 1, x + 1] * received + straight[y, x]
         if shares_excess:
@@ -246,18 +261,32 @@ def _sweep(
                         excess[coupling.zone_root[k, y, x]] += (
                             coupling.transfer * max(beyond, 0.0) * carried[y, x]
                         )
-                    beside = (
-                        lower * receptivity[y, x + 1]
-                        + left * receptivity[y + 1, x]
-                        + right * receptivity[y + 1, x + 2]
-                        + upper * receptivity[y + 2, x + 1]
-                    )
-                    diagonal = (
-                        lower * left * receptivity[y, x]
-                        + lower * right * receptivity[y, x + 2]
-                        + upper * left * receptivity[y + 2, x]
-                        + upper * right * receptivity[y + 2, x + 2]
-                    )
+                    if leaning:
+                        beside = (
+                            lower * receptivity[y, x + 1]
+                            + left * receptivity[y + 1, x]
+                            + right * receptivity[y + 1, x + 2]
+                            + upper * receptivity[y + 2, x + 1]
+                        )
+                        diagonal = (
+                            lower * left * receptivity[y, x]
+                            + lower * right * receptivity[y, x + 2]
+                            + upper * left * receptivity[y + 2, x]
+                            + upper * right * receptivity[y + 2, x + 2]
+                        )
+                    else:
+                        beside = (
+                            receptivity[y, x + 1]
+                            + receptivity[y + 1, x]
+                            + receptivity[y + 1, x + 2]
+                            + receptivity[y + 2, x + 1]
+                        )
+                        diagonal = (
+                            receptivity[y, x]
+                            + receptivity[y, x + 2]
+                            + receptivity[y + 2, x]
+                            + receptivity[y + 2, x + 2]
+                        )
                     w_down = np.float64(coupling.straight[k, y, x]) if straight_share else 1.0
                     w_edge = np.float64(edge[k, y, x])
                     w_corner = np.float64(corner[k, y, x])

@@ -73,14 +73,15 @@ def run_replicates(
     `purposes` are the stream purposes of packing and flow.
     """
     chunk = execution.chunk or math.ceil(count / execution.workers / (4 if fields else 1))
-    tasks = [
-        dask.delayed(_run_chunk, pure=False)(
-            setup, parameters, first, min(first + chunk, count), purposes, fields
-        )
+    parts = [
+        (setup, parameters, first, min(first + chunk, count), purposes, fields)
         for first in range(0, count, chunk)
     ]
-    with dask_session(execution):
-        parts = dask.compute(*tasks)
+    if execution.workers == 1 and not execution.scheduler:
+        parts = [_run_chunk(*part) for part in parts]
+    else:
+        with dask_session(execution):
+            parts = dask.compute(*(dask.delayed(_run_chunk, pure=False)(*part) for part in parts))
     sums = None
     if fields:
         sums = FieldSums.empty(setup)
@@ -150,8 +151,7 @@ def replicates_dataset(
 def dask_session(execution: Execution) -> Iterator[None]:
     """The only place that configures Dask: a thread pool, or a client of a running cluster."""
     if not execution.scheduler:
-        scheduler = "threads" if execution.workers > 1 else "synchronous"
-        with dask.config.set(scheduler=scheduler, num_workers=execution.workers):
+        with dask.config.set(scheduler="threads", num_workers=execution.workers):
             yield
         return
     from distributed import Client

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-SKIPPED = ("extraction", "x")  # variables on these dims stay with the replicates
+SKIPPED = {"extraction", "x", "y", "z"}  # variables on these dims stay with the replicates
 
 
 def replicate_statistics(replicates: xr.Dataset) -> xr.Dataset:
@@ -18,7 +18,7 @@ def replicate_statistics(replicates: xr.Dataset) -> xr.Dataset:
     n = replicates.sizes["replicate"]
     data = {"replicate_count": ((), np.int32(n))}
     for name, variable in replicates.data_vars.items():
-        if any(dim in SKIPPED for dim in variable.dims):
+        if SKIPPED & set(variable.dims):
             continue
         if "replicate" not in variable.dims:
             data[name] = variable
@@ -36,7 +36,9 @@ def replicate_statistics(replicates: xr.Dataset) -> xr.Dataset:
         }
         data |= {f"{name}_{suffix}": (dims, value) for suffix, value in parts.items()}
     coords = {
-        name: value for name, value in replicates.coords.items() if "replicate" not in value.dims
+        name: value
+        for name, value in replicates.coords.items()
+        if not (SKIPPED | {"replicate"}) & set(value.dims)
     }
     coords["realization"] = ((), np.int32(0))
     return xr.Dataset(data, coords=coords)

@@ -29,6 +29,8 @@ def stress_figures(results: Results, data: Data) -> list[Figure]:
     figures = [section_figure(results, data), profile_figure(results, data)]
     if not results.experiment.is_draw and len(results.clock) > 1:
         figures.append(filling_figure(results, data))
+    if "load_cell_footprint" in results.replicates:
+        figures.append(footprint_figure(results, data))
     figures.append(spreading_figure(results, data))
     figures.append(lattice_figure(results, data))
     figures.append(convergence_figure(results, data))
@@ -102,6 +104,34 @@ def one_packing(results: Results, data: Data) -> list[Panel]:
     )
     panel.image(x, z, values, STRESS, 0.0, high or 1.0)
     return [panel]
+
+
+def footprint_figure(results: Results, data: Data) -> Figure:
+    """Where the stress on each load cell comes from: its adjoint times the weights."""
+    shares = 100.0 * results.replicates["load_cell_footprint"].values
+    x, z = results.fields["x"].values, results.fields["z"].values
+    panels = []
+    for cell, share in zip(results.load_cells, shares, strict=True):
+        high = float(np.nanmax(share))
+        panel = Panel(
+            data,
+            "footprints",
+            f"Load cell {cell.name}",
+            "x (m)",
+            "height z (m)",
+            f"Where the stress on load cell {cell.name} comes from: up to {high:.2g} % from one "
+            "place, mostly from the ground above it.",
+            section_size(x[-1] + x[0], z[-1] + z[0]),
+            bar=True,
+        )
+        panel.image(x, z, share, "share of the reading (%)", 0.0, high or 1.0, SPREAD_COLORS)
+        panels.append(panel)
+    caption = parts(
+        "Each place's own weight adds its share to the reading{}; the shares of a load cell add "
+        "up to 100 %. Summed over y, averaged over the first replicates.",
+        " before anything is drawn" if results.experiment.is_draw else " when full",
+    )
+    return Figure("footprints", "Where each load cell's stress comes from", caption, panels)
 
 
 def profile_figure(results: Results, data: Data) -> Figure:

@@ -13,11 +13,13 @@ import xarray as xr
 from pipeline.config.measured import MeasuredRow
 from pipeline.lattice.adjoint import Influence, influence
 from pipeline.lattice.stress import stress_sweep
+from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.observe import SPREAD, STRESS, reading_index
 from pipeline.parameters import Parameters
 from pipeline.simulate import KPA, Setup, Sweep, load_cells, simulate
 
 COST_REPEATS = 20
+FOOTPRINT_REPLICATES = 8
 
 # called with (time index, sweep, influence of the readings at that time); returns the derivatives
 # (reading, channel)
@@ -95,6 +97,28 @@ def influence_fields(
     coords["z"] = ("z", lattice.centers("z")[:levels])
     coords["load_cell"] = [cell.name for cell in load_cells(setup.experiment)]
     return xr.Dataset(data, coords=coords)
+
+
+def load_cell_footprint(setup: Setup, parameters: Parameters) -> xr.DataArray:
+    """Where each load cell's stress comes from before draw, or when full.
+
+    Share of the stress that the weight at a place adds, summed over y and averaged over the first
+    `FOOTPRINT_REPLICATES` replicates: (load_cell, z, x), adding up to 1 over (z, x) for each load
+    cell where the sweep is linear in the weights.
+    """
+    experiment = setup.experiment
+    count = min(FOOTPRINT_REPLICATES, experiment.replicates)
+    at = 0 if setup.masses else -1
+    total = 0.0
+    for replicate in range(count):
+        streams = (
+            random_stream(experiment.seed, experiment.name, purpose, replicate)
+            for purpose in (PACKING, FLOW)
+        )
+        fields = influence_fields(setup, parameters, *streams, at=at)
+        share = fields["weight_influence"] * fields["weight"] / fields["vertical_stress"]
+        total = total + share.sum("y").transpose("load_cell", "z", "x")
+    return (total / count).drop_vars("load_cell").astype(np.float32)
 
 
 def row_gradients(

@@ -89,21 +89,29 @@ def _reading(row: MeasuredRow, simulated: Mapping[str, np.ndarray], used: set) -
     entry["used_in_calibration"] = tuple(entry[key] for key in KEY) in used
     for run, values in simulated.items():
         error = values.mean() - row.value
-        scatter = np.atleast_2d(values.var(ddof=1) if len(values) > 1 else 0.0)
-        total = float(np.sqrt(row_covariance([row], scatter)[0, 0]))
+        std = values.std(ddof=1) if len(values) > 1 else np.nan
+        sd = measured_sd(row, values)
         entry[run] = {
             "mean": values.mean(),
-            "std": values.std(ddof=1) if len(values) > 1 else np.nan,
-            "standard_error": values.std(ddof=1) / np.sqrt(len(values))
-            if len(values) > 1
-            else np.nan,
+            "std": std,
+            "standard_error": std / np.sqrt(len(values)),
             "p05": np.quantile(values, 0.05),
             "p95": np.quantile(values, 0.95),
             "error": error,
-            "error_in_sd": error / total,
+            "measured_sd": sd,
+            "error_in_sd": error / sd,
         }
-        entry["measured_sd"] = total
+    entry["measured_sd"] = entry[CALIBRATED]["measured_sd"]
     return entry
+
+
+def measured_sd(row: MeasuredRow, values: np.ndarray) -> float:
+    """Standard deviation of a measured value about the mean of many packings, in its unit.
+
+    With a `count` it holds the scatter of `values` (replicate) over that number of packings.
+    """
+    scatter = np.atleast_2d(values.var(ddof=1) if len(values) > 1 else 0.0)
+    return float(np.sqrt(row_covariance([row], scatter)[0, 0]))
 
 
 def _overall(rows: Sequence[MeasuredRow], simulated: Mapping[str, np.ndarray]) -> dict:
@@ -116,7 +124,7 @@ def _overall(rows: Sequence[MeasuredRow], simulated: Mapping[str, np.ndarray]) -
             if not of_quantity:
                 continue
             measured = np.array([rows[i].value for i in of_quantity])
-            std = np.array([np.hypot(rows[i].std, rows[i].std_shared) for i in of_quantity])
+            std = np.array([measured_sd(rows[i], values[:, i]) for i in of_quantity])
             error = values[:, of_quantity].mean(axis=0) - measured
             overall[run][quantity] = {
                 "unit": unit,
@@ -209,8 +217,8 @@ def _statements(
             )
         if published.get("measured_std_between") == "repeats":
             mean = replicates["base_vertical_stress"].values[:, -1]
-            scatter = mean.std(ddof=1) / mean.mean()
-            same = "less than 1e-9" if scatter < 1e-9 else f"{scatter:.1g}"
+            scatter = mean.std() / mean.mean()
+            same = f"{scatter:.1g}" if scatter >= 1e-9 else "less than 1e-9"
             statements.append(
                 f"The measured standard deviation {published['measured_std']:.3g} kPa is between "
                 f"repeats. The simulated mean over the base does not vary from packing to packing "

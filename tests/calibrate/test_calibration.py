@@ -242,7 +242,7 @@ def test_a_shared_error_widens_the_interval_and_does_not_average_out(column):
 
 
 WORLDS = 40
-ERROR_RATE = 1e-3  # of each bound below for a fresh seed; the seeds are fixed
+ERROR_RATE = 1e-2  # of each bound below for a fresh seed; the seeds are fixed
 
 
 def assert_intervals_cover(worlds, name, truth):
@@ -263,6 +263,13 @@ def assert_widths_fit_errors(worlds, name, truth):
     assert low < squares < high, f"{name}: {squares:.1f}, expected {low:.1f} to {high:.1f}"
 
 
+@pytest.fixture
+def short_scan(monkeypatch):
+    """Fits start from the truth here, so the search for a start can be short."""
+    monkeypatch.setattr("pipeline.calibrate.calibration.SCAN", 2)
+
+
+@pytest.mark.usefixtures("short_scan")
 def test_intervals_cover_known_E_and_s(column):
     quantities = ("vertical_stress", "vertical_stress_spatial_std")
     blank = tuple(row(quantity) for quantity in quantities)
@@ -282,6 +289,7 @@ def test_intervals_cover_known_E_and_s(column):
         assert_widths_fit_errors(worlds, name, true)
 
 
+@pytest.mark.usefixtures("short_scan")
 def test_intervals_cover_known_E_from_load_cells_in_one_packing(column):
     # the worlds' packings come from streams that no calibration uses
     known = column(load_cells=LOAD_CELLS)

@@ -99,7 +99,14 @@ def test_a_tail_needs_mass_beyond_it(tmp_path, experiments, message):
     assert "holds nothing out" in message(load_studies, tmp_path / "studies", experiments)
 
 
-@pytest.mark.parametrize("hold_out", ["leave_one_out", ["a"], ["b"]])
+def test_a_held_out_experiment_may_take_its_stress_from_one_that_is_not(tmp_path, experiments):
+    write(tmp_path / "experiments" / "b.yaml", COLUMN | {"stress": {"from": "a"}})
+    experiments = load_experiments(tmp_path / "experiments")
+    write(tmp_path / "studies" / "walls.yaml", STUDY | {"hold_out": ["b"]})
+    assert load_studies(tmp_path / "studies", experiments)["walls"].hold_out == ("b",)
+
+
+@pytest.mark.parametrize("hold_out", ["leave_one_out", ["a"]])
 def test_stress_from_another_experiment_cannot_be_held_out(
     tmp_path, experiments, message, hold_out
 ):

@@ -15,7 +15,16 @@ from pipeline.simulate import make_setup
 
 @pytest.mark.parametrize(
     ("extent", "cells"),
-    [(0.23, 12), (0.35, 18), (0.54, 27), (0.229, 11), (0.231, 12), (0.3, 15), (0.01, 1)],
+    [
+        (0.23, 12),
+        (0.25, 13),
+        (0.35, 18),
+        (0.54, 27),
+        (0.229, 11),
+        (0.231, 12),
+        (0.3, 15),
+        (0.01, 1),
+    ],
 )
 def test_lengths_are_rounded_half_up_to_whole_cells(extent, cells):
     lattice = make_lattice(extent, extent, 0.1, 0.02)

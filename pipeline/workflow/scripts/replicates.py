@@ -5,6 +5,7 @@ from pipeline.files.atomic import read_json
 from pipeline.files.netcdf import read_dataset, write_dataset
 from pipeline.montecarlo.replicates import Execution, run_experiment
 from pipeline.parameters import Parameters
+from pipeline.sensitivity.footprints import load_cell_footprint
 from pipeline.simulate import make_setup
 from pipeline.workflow.job import log_to
 
@@ -18,6 +19,7 @@ used, declared = (
 )
 execution = Execution(snakemake.threads, snakemake.resources.dask_scheduler)
 replicates, fields = run_experiment(setup, used, declared, execution)
+replicates["load_cell_footprint"] = load_cell_footprint(setup, used)
 for path, dataset, title in (
     (snakemake.output.fields, fields, "Fields over replicates"),
     (snakemake.output.replicates, replicates, "Replicates"),
