@@ -29,10 +29,6 @@ class Catalog:
         self.results = str(config["results_dir"]).rstrip("/")
         self.experiments = load_experiments(Path(str(config["experiments_dir"])))
 
-    def experiment(self, name: str) -> Experiment:
-        """The experiment of that name."""
-        return self.experiments[name]
-
     def file(self, name: str) -> str:
         """Path of the experiment's file."""
         return str(self.experiments[name].path)
