@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
-from pipeline.config.experiment import Experiment
 from pipeline.config.load import check_measured, digest, load_experiments
 
 PACKAGE = Path(__file__).parents[1]
