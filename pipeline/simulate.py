@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -29,7 +29,6 @@ from pipeline.lattice.cells import OUTSIDE, STAGNANT
 from pipeline.lattice.flow import (
     DRAWN_CELLS,
     HANG_UPS,
-    FlowState,
     climb_chances,
     draw_to,
     new_flow_state,
@@ -67,8 +66,44 @@ class Sweep(NamedTuple):
     base_load: np.ndarray
 
 
-# called at each reading with (time index, its sweep)
-Inspector = Callable[[int, Sweep], None]
+# called at each reading with (time index, its sweep, the lattice as effects left it)
+Inspector = Callable[[int, Sweep, State], None]
+
+
+class Snapshot(NamedTuple):
+    """What the flow has made of the lattice at a reading; arrays as in `flow.FlowState`.
+
+    `moved` marks the places whose cell has moved since the reading before; `heights` and `widths`
+    (label) are the movement zones', m; `mass` was drawn so far, kg.
+    """
+
+    code: np.ndarray
+    cell_id: np.ndarray
+    zone: np.ndarray
+    zone_root: np.ndarray
+    moved: np.ndarray
+    heights: np.ndarray
+    widths: np.ndarray
+    mass: float
+
+
+@dataclass(frozen=True)
+class FlowRecord:
+    """The flow of one replicate, kept to be simulated again under other stresses.
+
+    `totals` are the fields of `Readings` that the flow alone decides.
+    """
+
+    snapshots: tuple[Snapshot, ...]
+    totals: Mapping[str, Any]
+
+    def __iter__(self) -> Iterator[Snapshot]:
+        return iter(self.snapshots)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that its arrays take."""
+        return sum(getattr(part, "nbytes", 0) for snapshot in self.snapshots for part in snapshot)
 
 
 @dataclass(frozen=True)
@@ -204,7 +239,7 @@ def simulate(
     setup: Setup,
     parameters: Parameters,
     packing: np.random.Generator,
-    flow: np.random.Generator | None = None,
+    flow: np.random.Generator | FlowRecord | None = None,
     observe: Observer | None = None,
     inspect: Inspector | None = None,
 ) -> Readings:
@@ -213,7 +248,8 @@ def simulate(
     Parameters
     ----------
     packing : stream that draws s for each cell, and anew where a cell has moved
-    flow : stream of the void diffusion; a draw experiment needs it
+    flow : stream of the void diffusion, or what `record_flow` kept of it; a draw experiment
+        needs one
     observe : called at each reading with the state of the lattice, to reduce fields in place
     inspect : called at each reading with its sweep, whose arrays the next one may reuse
 
@@ -240,11 +276,11 @@ def _simulate_filling(setup, parameters, packing, observe, inspect):
             fraction = min(fraction / lattice.top_fraction, 1.0)
         code = setup.code[:levels]
         cells = _Cells(weight[:levels], shed[:levels], ground.edge[:levels], ground.corner[:levels])
-        if setup.acts_on("state"):
-            cells, coupling = ground.at_rest(code, cells.with_top(fraction))
-            load = out.sweep(t, cells, code, parameters.R, 1.0, coupling)
+        if out.needs_state:
+            state = ground.at_rest(code, cells.with_top(fraction))
+            load = out.sweep(t, *_taken(state, weight.dtype), 1.0, state)
         else:
-            load = out.sweep(t, cells, code, parameters.R, fraction)
+            load = out.sweep(t, cells, code, parameters.R, UNCOUPLED, fraction)
         if observe is not None:
             observe(t, code, identity[:levels], load)
     return out.finish()
@@ -253,80 +289,124 @@ def _simulate_filling(setup, parameters, packing, observe, inspect):
 def _simulate_draw(setup, parameters, packing, flow, observe, inspect):
     lattice, dtype = setup.lattice, setup.cell_weight.dtype
     ground = _Ground(setup, parameters, packing)
-    cell_mass = ground.cells.weight.astype(np.float64) / GRAVITY
-    state = new_flow_state(setup.code, setup.openings)
+    if not isinstance(flow, FlowRecord):
+        flow = _Flow(setup, parameters, ground.cell_mass, flow)
     weight, shed = np.zeros(lattice.shape, dtype), np.zeros(lattice.shape, dtype)
     out = _Recorder(setup, ground.negative_share, observe is not None, inspect)
     readings = out.readings
     readings.movement_zone_height = np.zeros(setup.times)
     readings.movement_zone_width = np.zeros(setup.times)
     readings.replicate_mass_drawn = np.zeros(setup.times)
-    readings.drawpoint_shortfall = np.zeros(len(setup.openings))
-    for t in _draw(setup, parameters, cell_mass, state, flow, readings.drawpoint_shortfall):
-        ground.redraw(state.moved, state.cell_id, setup.masses[t])
-        heights, widths = zone_geometry(state, lattice.cell_size)
-        shed_zone = parameters.shed_in_zone(heights).astype(dtype)
+    for t, now in enumerate(flow):
+        ground.redraw(now.moved, now.cell_id, setup.masses[t])
+        shed_zone = parameters.shed_in_zone(now.heights).astype(dtype)
         place_cells(
-            state.code,
-            state.cell_id,
-            state.zone,
+            now.code,
+            now.cell_id,
+            now.zone,
             ground.cells.weight,
             ground.cells.shed_fraction,
             shed_zone,
             weight,
             shed,
         )
-        cells, coupling = _Cells(weight, shed, ground.edge, ground.corner), UNCOUPLED
-        if setup.acts_on("state"):
-            cells, coupling = ground.in_draw(state, heights, cells)
-        load = out.sweep(t, cells, state.code, parameters.R, 1.0, coupling)
-        drawn = state.counters[DRAWN_CELLS]
-        readings.movement_zone_height[t] = heights.max()
-        readings.movement_zone_width[t] = widths.max()
-        readings.replicate_mass_drawn[t] = state.drawn_mass[drawn - 1] if drawn else 0.0
+        cells = _Cells(weight, shed, ground.edge, ground.corner)
+        if out.needs_state:
+            state = ground.in_draw(now, cells)
+            load = out.sweep(t, *_taken(state, dtype), 1.0, state)
+        else:
+            load = out.sweep(t, cells, now.code, parameters.R, UNCOUPLED, 1.0)
+        readings.movement_zone_height[t] = now.heights.max()
+        readings.movement_zone_width[t] = now.widths.max()
+        readings.replicate_mass_drawn[t] = now.mass
         if observe is not None:
-            observe(t, state.code, state.cell_id, load)
-    drawn = state.counters[DRAWN_CELLS]
-    readings.hang_ups = int(state.counters[HANG_UPS])
-    readings.drawn_cell = state.drawn_cell[:drawn].copy()
-    readings.drawn_drawpoint = state.drawn_drawpoint[:drawn].copy()
-    readings.drawn_mass = state.drawn_mass[:drawn].copy()
+            observe(t, now.code, now.cell_id, load)
+    for name, value in flow.totals.items():
+        setattr(readings, name, value)
     return out.finish()
 
 
-def _draw(
+def record_flow(
     setup: Setup,
     parameters: Parameters,
-    cell_mass: np.ndarray,
-    state: FlowState,
+    packing: np.random.Generator,
     flow: np.random.Generator,
-    shortfall: np.ndarray,
-) -> Iterator[int]:
-    """Follow the draw schedule; yields the index of each reading when its mass is drawn.
+) -> FlowRecord:
+    """The flow of one replicate of a draw experiment; `simulate` takes it in place of the stream.
+
+    It hangs on the flow parameters and on the cells' masses alone: not on E, s, R or E_min, nor
+    on effects that change no mass.
+    """
+    flow = _Flow(setup, parameters, _Ground(setup, parameters, packing).cell_mass, flow)
+    copied = tuple(
+        Snapshot(*(part.copy() if isinstance(part, np.ndarray) else part for part in now))
+        for now in flow
+    )
+    return FlowRecord(copied, flow.totals)
+
+
+class _Flow:
+    """Follows the draw schedule; iterating it gives a `Snapshot` of views at each reading.
 
     A drawpoint with no granular cell left leaves the rest of its visit undrawn: what is missing
-    is added to `shortfall` (drawpoint) in kg, and the schedule goes on.
+    adds to `drawpoint_shortfall` (drawpoint) in kg, and the schedule goes on.
     """
-    chances = climb_chances(parameters.exponent)
-    missing = 0.0
-    t = 0
-    while t < setup.times and setup.masses[t] <= 0.0:
-        yield t
-        t += 1
-    for drawpoint, end in visits(setup.experiment):
-        arguments = (chances, parameters.bulking, flow)
-        while t < setup.times and setup.masses[t] <= end:
-            draw_to(state, cell_mass, drawpoint, setup.masses[t] - missing, *arguments)
-            yield t
+
+    def __init__(self, setup, parameters, cell_mass, flow):
+        self._setup, self._parameters = setup, parameters
+        self._cell_mass, self._stream = cell_mass, flow
+        self._state = new_flow_state(setup.code, setup.openings)
+        self._shortfall = np.zeros(len(setup.openings))
+
+    def __iter__(self) -> Iterator[Snapshot]:
+        setup, state = self._setup, self._state
+        arguments = climb_chances(self._parameters.exponent), self._parameters.bulking, self._stream
+        missing = 0.0
+        t = 0
+        while t < setup.times and setup.masses[t] <= 0.0:
+            yield self._snapshot()
             t += 1
-        if t == setup.times and not setup.to_the_end:
-            return
-        short = draw_to(state, cell_mass, drawpoint, end - missing, *arguments)
-        shortfall[drawpoint] += short
-        missing += short
-    while t < setup.times:
-        yield t
-        t += 1
+        for drawpoint, end in visits(setup.experiment):
+            while t < setup.times and setup.masses[t] <= end:
+                target = setup.masses[t] - missing
+                draw_to(state, self._cell_mass, drawpoint, target, *arguments)
+                yield self._snapshot()
+                t += 1
+            if t == setup.times and not setup.to_the_end:
+                return
+            short = draw_to(state, self._cell_mass, drawpoint, end - missing, *arguments)
+            self._shortfall[drawpoint] += short
+            missing += short
+        while t < setup.times:
+            yield self._snapshot()
+            t += 1
+
+    def _snapshot(self) -> Snapshot:
+        state = self._state
+        moved = state.moved.copy()
+        state.moved[:] = False
+        drawn = state.counters[DRAWN_CELLS]
+        return Snapshot(
+            state.code,
+            state.cell_id,
+            state.zone,
+            state.zone_root,
+            moved,
+            *zone_geometry(state, self._setup.lattice.cell_size),
+            float(state.drawn_mass[drawn - 1]) if drawn else 0.0,
+        )
+
+    @property
+    def totals(self) -> dict[str, Any]:
+        state = self._state
+        drawn = state.counters[DRAWN_CELLS]
+        return {
+            "drawpoint_shortfall": self._shortfall,
+            "hang_ups": int(state.counters[HANG_UPS]),
+            "drawn_cell": state.drawn_cell[:drawn].copy(),
+            "drawn_drawpoint": state.drawn_drawpoint[:drawn].copy(),
+            "drawn_mass": state.drawn_mass[:drawn].copy(),
+        }
 
 
 def visits(experiment: Experiment) -> Iterator[tuple[int, float]]:
@@ -401,9 +481,10 @@ class _Ground:
         self.edge, self.corner = spreading_weights(s, self._rule, self._dtype)
         ground = setup.code == STAGNANT
         self.negative_share = np.count_nonzero(ground & (s < 0)) / np.count_nonzero(ground)
+        self.cell_mass = cells.weight.astype(np.float64) / GRAVITY
         self._increments = np.array([0.0, *(end for _, end in visits(setup.experiment))])
         self._drawn = 0.0  # increments so far, and when the cell at each place came
-        self._came = np.zeros(setup.code.shape if setup.acts_on("state") else 0)
+        self._came = np.zeros(setup.code.shape)
 
     @property
     def _rule(self) -> str:
@@ -417,7 +498,7 @@ class _Ground:
         return s if np.ndim(shift) == 0 else s + shift[identity]
 
     def redraw(self, moved: np.ndarray, cell_id: np.ndarray, mass: float) -> None:
-        """New s where `moved` is set, in array order, after `mass` kg; clears the flags."""
+        """New s where `moved` is set, in array order, after `mass` kg."""
         places = np.flatnonzero(moved)
         s = self._draw(len(places), np.maximum(cell_id.flat[places], 0))
         weights = spreading_weights(s, self._rule, self._dtype)
@@ -426,23 +507,19 @@ class _Ground:
             weights = _mixed(old, weights, self.cells.persistence)
         self.edge.flat[places], self.corner.flat[places] = weights
         self._drawn = np.interp(mass, self._increments, np.arange(len(self._increments)))
-        if self._came.size:
-            self._came.flat[places] = self._drawn
-        moved[:] = False
+        self._came.flat[places] = self._drawn
 
-    def at_rest(self, code: np.ndarray, cells: _Cells) -> tuple[_Cells, Coupling]:
-        """Cells and coupling of a filling, through the state effects."""
+    def at_rest(self, code: np.ndarray, cells: _Cells) -> State:
+        """The lattice of a filling, through the state effects."""
         nowhere = np.full(code.shape, -1, dtype=np.int16)
         own = cells.shed_fraction
         return self._through_effects(code, nowhere, nowhere, np.zeros(0), own, cells)
 
-    def in_draw(
-        self, state: FlowState, heights: np.ndarray, cells: _Cells
-    ) -> tuple[_Cells, Coupling]:
-        """Cells and coupling during draw, through the state effects."""
-        root = np.where(state.zone >= 0, state.zone_root[state.zone], np.int16(-1))
-        own = self.cells.shed_fraction[np.maximum(state.cell_id, 0)]
-        return self._through_effects(state.code, state.zone, root, heights, own, cells)
+    def in_draw(self, now: Snapshot, cells: _Cells) -> State:
+        """The lattice during draw, through the state effects."""
+        root = np.where(now.zone >= 0, now.zone_root[now.zone], np.int16(-1))
+        own = self.cells.shed_fraction[np.maximum(now.cell_id, 0)]
+        return self._through_effects(now.code, now.zone, root, now.heights, own, cells)
 
     def _through_effects(self, code, zone, zone_root, heights, own_shed, cells):
         state = State(
@@ -458,9 +535,14 @@ class _Ground:
             coupling=UNCOUPLED,
             **cells._asdict(),
         )
-        state = apply(self._setup.effects, "state", state)
-        parts = (getattr(state, name).astype(self._dtype, copy=False) for name in _Cells._fields)
-        return _Cells(*map(np.ascontiguousarray, parts)), state.coupling
+        return apply(self._setup.effects, "state", state)
+
+
+def _taken(state: State, dtype: type) -> tuple[_Cells, np.ndarray, float, Coupling]:
+    """What a sweep takes of a state."""
+    parts = (getattr(state, name).astype(dtype, copy=False) for name in _Cells._fields)
+    cells = _Cells(*map(np.ascontiguousarray, parts))
+    return cells, state.code, state.relaxation, state.coupling
 
 
 def _mixed(old, new, persistence):
@@ -497,18 +579,18 @@ class _Recorder:
             shape = (times, *self.setup.lattice.shape)
             self.readings.replicate_vertical_stress = np.full(shape, np.nan, dtype=np.float32)
 
+    @property
+    def needs_state(self) -> bool:
+        """Whether someone wants the lattice as a `State`."""
+        return self.inspect is not None or self.setup.acts_on("state")
+
     def finish(self) -> Readings:
         """The readings, as the sensors give them."""
-        setup, readings = self.setup, self.readings
-        names = [cell.name for cell in load_cells(setup.experiment)]
-        for one in setup.effects:
-            if one.effect.readings is not None and not one.is_neutral:
-                masses = np.array(setup.masses or np.zeros(setup.times))
-                reading = Reading(readings.vertical_stress, names.index(one.load_cell), masses)
-                readings.vertical_stress = one.effect.readings(reading, one.values)
+        readings = self.readings
+        readings.vertical_stress = sensed(self.setup, readings.vertical_stress)
         return readings
 
-    def sweep(self, t, cells, code, relaxation, top_fraction, coupling=UNCOUPLED):
+    def sweep(self, t, cells, code, relaxation, coupling, top_fraction, state=None):
         """One sweep, read at time `t`; returns the carried load (z, y, x) in N where kept."""
         setup, readings = self.setup, self.readings
         fields = readings.replicate_vertical_stress
@@ -535,6 +617,17 @@ class _Recorder:
             fields[t, : len(load)] = load / setup.lattice.cell_area * KPA
         if self.inspect is not None:
             self.inspect(
-                t, Sweep(*cells, code, relaxation, top_fraction, coupling, load, base_load)
+                t, Sweep(*cells, code, relaxation, top_fraction, coupling, load, base_load), state
             )
         return load
+
+
+def sensed(setup: Setup, stress: np.ndarray) -> np.ndarray:
+    """What the load cells read of stresses (time, load_cell) in kPa, through the sensor effects."""
+    names = [cell.name for cell in load_cells(setup.experiment)]
+    for one in setup.effects:
+        if one.effect.readings is not None and not one.is_neutral:
+            masses = np.array(setup.masses or np.zeros(setup.times))
+            reading = Reading(stress, names.index(one.load_cell), masses)
+            stress = one.effect.readings(reading, one.values)
+    return stress

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
@@ -20,7 +20,14 @@ from pipeline.config.experiment import Experiment
 from pipeline.config.measured import MeasuredRow
 from pipeline.montecarlo.replicates import Execution, replicates_dataset, run_replicates
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING
-from pipeline.observe import GEOMETRY, SPREAD, STRESS, row_covariance, simulated_rows
+from pipeline.observe import (
+    GEOMETRY,
+    SPREAD,
+    STRESS,
+    only_measured,
+    row_covariance,
+    simulated_rows,
+)
 from pipeline.parameters import Parameters
 from pipeline.simulate import Setup
 
@@ -84,7 +91,7 @@ class _Model:
     """
 
     def __init__(self, setup, rows, execution):
-        self.setup = _only_measured(setup, rows)
+        self.setup = only_measured(setup, rows)
         self.rows, self.execution = tuple(rows), execution
         self.count = REPLICATES["draw" if setup.masses else "static"]
         self.simulated = [0]  # replicates, shared with the parts
@@ -215,28 +222,6 @@ def _differences(function, u, steps, low, high):
         ends[:, i] = np.clip([u[i] - step, u[i] + step], low[i], high[i])
         columns.append((function(ends[1]) - function(ends[0])) / (ends[1, i] - ends[0, i]))
     return np.column_stack(columns)
-
-
-def _only_measured(setup: Setup, rows: Sequence[MeasuredRow]) -> Setup:
-    """The setup read at nothing but what the rows need (and before draw, for ratios)."""
-    height = setup.experiment.geometry.height
-    levels = {height if row.fill_height is None else row.fill_height for row in rows}
-    masses = {0.0} | {row.mass_drawn for row in rows if row.mass_drawn is not None}
-    return replace(
-        setup,
-        to_the_end=False,
-        fill_levels=tuple(h for h in setup.fill_levels if _near(h, levels)),
-        true_levels=tuple(
-            true
-            for h, true in zip(setup.fill_levels, setup.true_levels, strict=True)
-            if _near(h, levels)
-        ),
-        masses=tuple(m for m in setup.masses if _near(m, masses)),
-    )
-
-
-def _near(value: float, wanted: set[float]) -> bool:
-    return any(math.isclose(value, other, rel_tol=1e-8) for other in wanted)
 
 
 def _uncertainty(model, parameters, scatter, fitted) -> tuple[list[str], np.ndarray]:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -53,6 +53,9 @@ class Effect:
     words what a larger value does to readings. `options` are choices by name, the first one the
     default. `example` has non-neutral values that show what the effect does. `needs` gives the
     keys that an experiment must declare for it (`walls.friction_angle`), from the effect's values.
+    `kind` says what it would mean to find it: physics that the model lacks, an input that was
+    declared wrong, a sensor at fault, or a rule that no other effect stands for. `moves_mean` is
+    False for an effect on the scatter alone, of which no mean reading tells.
     """
 
     description: str
@@ -64,6 +67,8 @@ class Effect:
     example: Values
     options: Mapping[str, tuple] = field(default_factory=dict)
     needs: Callable[[Values], tuple[str, ...]] = lambda values: ()
+    kind: Literal["physics", "input", "sensor", "rule"] = "physics"
+    moves_mean: bool = True
     order: int = 0
     geometry: Callable[[float, Values], float] | None = None
     packing: Callable[[Packing, Values], Packing] | None = None

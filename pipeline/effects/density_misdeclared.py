@@ -20,6 +20,7 @@ EFFECT = Effect(
         Parameter("factor", "1", 1.0, 0.2, 5.0, 0.1, 0, "true over declared bulk density"),
     ),
     moves="raises every static reading in proportion",
+    kind="input",
     example={"factor": 1.2},
     packing=weigh,
 )

@@ -17,6 +17,7 @@ EFFECT = Effect(
         Parameter("factor", "1", 1.0, 0.5, 2.0, 0.05, 0, "true over declared fill height"),
     ),
     moves="raises every reading, the less the more of the column friction carries",
+    kind="input",
     example={"factor": 1.2},
     geometry=rise,
 )

@@ -24,5 +24,6 @@ EFFECT = Effect(
     parameters=(Parameter("cv", "1", 0.0, 0.0, 2.0, 0.1, 1, "coefficient of variation of 1 − E"),),
     moves="raises the scatter of readings from replicate to replicate",
     example={"cv": 0.3},
+    moves_mean=False,
     packing=vary,
 )

@@ -21,6 +21,7 @@ EFFECT = Effect(
         Parameter("rate", "1/kg", 0.0, -1.0, 1.0, 0.01, 0, "change of gain for each kilogram"),
     ),
     moves="raises the load cell's readings the more has been drawn",
+    kind="sensor",
     example={"rate": 0.02},
     readings=drift,
 )

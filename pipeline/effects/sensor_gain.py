@@ -19,6 +19,7 @@ EFFECT = Effect(
     scope="load_cell",
     parameters=(Parameter("gain", "1", 1.0, 0.01, 100.0, 0.1, 0, "reading over stress"),),
     moves="raises the load cell's readings in proportion",
+    kind="sensor",
     example={"gain": 1.2},
     readings=scale,
 )

@@ -19,6 +19,7 @@ EFFECT = Effect(
     scope="load_cell",
     parameters=(Parameter("offset", "kPa", 0.0, -1e3, 1e3, 0.2, 0, "reading at no stress"),),
     moves="raises the load cell's readings by the same amount",
+    kind="sensor",
     example={"offset": 0.5},
     order=10,
     readings=shift,

@@ -46,6 +46,8 @@ def _kappa(beta: np.ndarray, shift: np.ndarray) -> tuple[float, float]:
         while weights(kappa + step)[1] > value + 1e-14 * abs(value) and np.abs(step).max() > 1e-15:
             step *= 0.5
         kappa = kappa + step
+        if np.abs(step).max() < 1e-14:
+            break
     return float(kappa[0]), float(kappa[1])
 
 

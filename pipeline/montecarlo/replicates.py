@@ -6,9 +6,11 @@ import logging
 import math
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import dask
 import numpy as np
@@ -77,11 +79,7 @@ def run_replicates(
         (setup, parameters, first, min(first + chunk, count), purposes, fields)
         for first in range(0, count, chunk)
     ]
-    if execution.workers == 1 and not execution.scheduler:
-        parts = [_run_chunk(*part) for part in parts]
-    else:
-        with dask_session(execution):
-            parts = dask.compute(*(dask.delayed(_run_chunk, pure=False)(*part) for part in parts))
+    parts = run_tasks([partial(_run_chunk, *part) for part in parts], execution)
     sums = None
     if fields:
         sums = FieldSums.empty(setup)
@@ -145,6 +143,17 @@ def replicates_dataset(
         values = np.array([getattr(cell, key) for cell in cells])
         (coords if key in "xy" else data)[f"load_cell_{key}"] = ("load_cell", values)
     return xr.Dataset(data, coords=coords)
+
+
+def run_tasks(tasks: Sequence[Callable[[], Any]], execution: Execution) -> list[Any]:
+    """Results of tasks without arguments, in order: here with one worker, else through Dask.
+
+    Without arguments, because Dask would look through every one of them for its own collections.
+    """
+    if execution.workers == 1 and not execution.scheduler:
+        return [task() for task in tasks]
+    with dask_session(execution):
+        return list(dask.compute(*(dask.delayed(task, pure=False)() for task in tasks)))
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import hashlib
 import numpy as np
 
 # What a stream is for; a new purpose takes a new number, and none is ever changed.
-PACKING, FLOW, CALIBRATION_PACKING, CALIBRATION_FLOW = range(4)
+PACKING, FLOW, CALIBRATION_PACKING, CALIBRATION_FLOW, LOOP_PACKING, LOOP_FLOW, LOOP_NULL = range(7)
 
 
 def random_stream(seed: int, experiment: str, purpose: int, replicate: int) -> np.random.Generator:

@@ -11,19 +11,20 @@ import numpy as np
 import xarray as xr
 
 from pipeline.config.measured import MeasuredRow
+from pipeline.effects import State
 from pipeline.lattice.adjoint import Influence, influence
 from pipeline.lattice.stress import stress_sweep
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.observe import SPREAD, STRESS, reading_index
 from pipeline.parameters import Parameters
-from pipeline.simulate import KPA, Setup, Sweep, load_cells, simulate
+from pipeline.simulate import KPA, FlowRecord, Setup, Sweep, load_cells, simulate
 
 COST_REPEATS = 20
 FOOTPRINT_REPLICATES = 8
 
-# called with (time index, sweep, influence of the readings at that time); returns the derivatives
+# called with (sweep, its lattice, influence of the readings at a time); returns the derivatives
 # (reading, channel)
-Projection = Callable[[int, Sweep, Influence], np.ndarray]
+Projection = Callable[[Sweep, State, Influence], np.ndarray]
 
 
 def sweep_influence(readings: np.ndarray, sweep: Sweep, **options) -> Influence:
@@ -79,7 +80,7 @@ def influence_fields(
     weights = setup.footprints * (KPA / lattice.cell_area)
     data = {}
 
-    def inspect(t: int, sweep: Sweep) -> None:
+    def inspect(t: int, sweep: Sweep, state: State) -> None:
         if t != at:
             return
         found = sweep_influence(weights, sweep)
@@ -127,7 +128,7 @@ def row_gradients(
     rows: Sequence[MeasuredRow],
     project: Projection,
     packing: np.random.Generator,
-    flow: np.random.Generator | None = None,
+    flow: np.random.Generator | FlowRecord | None = None,
     of_relaxation: bool = False,
 ) -> np.ndarray:
     """Derivatives of measured rows' counterparts in one replicate, (row, channel) float64.
@@ -140,7 +141,8 @@ def row_gradients(
     Parameters
     ----------
     setup : with the effects that act; its readings must hold those of `rows`
-    project : called with (time index, sweep, its influence)
+    flow : the replicate's stream, or what `record_flow` kept of it
+    project : called with (sweep, its lattice, its influence) at each time
     of_relaxation : whether the influence has derivatives with respect to R
     """
     clock = "mass_drawn" if setup.masses else "fill_height"
@@ -150,13 +152,13 @@ def row_gradients(
     read = {i: {times[i]} | ({0} if _is_ratio(rows[i]) else set()) for i in stresses}
     found: dict[tuple[int, int], tuple[float, np.ndarray]] = {}  # (time, row): value, slopes
 
-    def inspect(t: int, sweep: Sweep) -> None:
+    def inspect(t: int, sweep: Sweep, state: State) -> None:
         now = [i for i in stresses if t in read[i]]
         if not now:
             return
         weights = np.array([_base_weights(setup, rows[i], sweep.base_load) for i in now])
         values = np.tensordot(weights, sweep.base_load, axes=2)
-        slopes = project(t, sweep, sweep_influence(weights, sweep, of_relaxation=of_relaxation))
+        slopes = project(sweep, state, sweep_influence(weights, sweep, of_relaxation=of_relaxation))
         found.update(((t, i), entry) for i, *entry in zip(now, values, slopes, strict=True))
 
     simulate(setup, parameters, packing, flow, inspect=inspect)
@@ -198,7 +200,7 @@ def gradient_cost(
     `ratio`; `cells` is the size of the lattice.
     """
     sweeps: list[Sweep] = []
-    simulate(setup, parameters, packing, inspect=lambda t, sweep: sweeps.append(sweep))
+    simulate(setup, parameters, packing, inspect=lambda t, sweep, state: sweeps.append(sweep))
     last = sweeps[-1]
     weights = setup.footprints[:1] * (KPA / setup.lattice.cell_area)
     none = np.zeros((0, 0, 0), last.load.dtype)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
-import dask
 import numpy as np
 import xarray as xr
 
@@ -16,15 +16,15 @@ from pipeline.calibrate.calibration import SCALES
 from pipeline.config.effects import NOT_MEASURED
 from pipeline.config.experiment import DRAW_PARAMETERS, EMinTable
 from pipeline.config.measured import QUANTITIES, MeasuredRow
-from pipeline.effects import Active, apply, lacking, ordered
+from pipeline.effects import Active, State, apply, lacking, ordered
 from pipeline.lattice.adjoint import Influence
 from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import MOVEMENT, STAGNANT
 from pipeline.montecarlo.replicates import (
     Execution,
-    dask_session,
     replicates_dataset,
     run_replicates,
+    run_tasks,
 )
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, random_stream
 from pipeline.observe import GEOMETRY, simulated_rows
@@ -445,7 +445,7 @@ def _adjoint(model: _Model, count: int, wanted: Iterable[str]) -> dict[str, np.n
         return {}
     experiment = model.experiment
 
-    def project(t: int, sweep: Sweep, found: Influence) -> np.ndarray:
+    def project(sweep: Sweep, state: State, found: Influence) -> np.ndarray:
         shed = np.where(_follows_E(sweep, parameters), sweep.shed_fraction, 0.0)
         by_log_shed = np.tensordot(found.shed, shed, axes=3)
         by_factor = np.tensordot(found.weight, sweep.weight.astype(np.float64), axes=3)
@@ -455,8 +455,7 @@ def _adjoint(model: _Model, count: int, wanted: Iterable[str]) -> dict[str, np.n
         streams = (random_stream(experiment.seed, experiment.name, p, k) for p in model.purposes)
         return row_gradients(setup, parameters, rows, project, *streams)
 
-    with dask_session(model.execution):
-        gradients = dask.compute(*(dask.delayed(gradient, pure=False)(k) for k in range(count)))
+    gradients = run_tasks([partial(gradient, k) for k in range(count)], model.execution)
     return {name: np.array(gradients)[:, :, place] for name, place in names.items()}
 
 

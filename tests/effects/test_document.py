@@ -49,7 +49,11 @@ def test_the_document_shows_all_that_an_effect_needs(dropped, blocks, tmp_path, 
     assert wet.weight_balance_error.max() < 1e-6
 
     lowest = []
-    run(filling(), [active], inspect=lambda t, sweep: lowest.append(sweep.weight[:2, 0, 0].copy()))
+    run(
+        filling(),
+        [active],
+        inspect=lambda t, sweep, state: lowest.append(sweep.weight[:2, 0, 0].copy()),
+    )
     np.testing.assert_allclose(lowest[-1][0] / lowest[-1][1], 1.3, rtol=1e-6)
 
 

@@ -41,7 +41,7 @@ def sweeps(experiment, *active, replicates=1):
         experiment,
         active,
         replicates,
-        inspect=lambda t, sweep: kept.append(
+        inspect=lambda t, sweep, state: kept.append(
             sweep._replace(**{n: getattr(sweep, n).copy() for n in sweep._fields if n in COPIED})
         ),
     )

@@ -1,0 +1,147 @@
+"""Generalized least squares: parameters and amplitudes at once, with weak priors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.loop.covariance import Noise, noise
+from pipeline.loop.data import Data
+from pipeline.loop.model import Model, Point, limits
+
+MOST_STEPS = 25
+CLOSE = 1e-3  # drop of χ² that a step must promise
+REFRESHES = 2  # times that the covariance follows the fit
+AMPLITUDE_PRIOR = 5.0  # sd of an amplitude's prior in a fit, in its scale: too wide to shrink it
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model.
+
+    Attributes
+    ----------
+    point : where it stands
+    reference : point at which the covariance and the offset were simulated
+    offset : (row) what the many replicates add to the mean of the common ones, at the reference
+    expected : (row) what every row should be, at the point
+    residual : (n) y − expected, of the rows of the data
+    slopes : (row, unknown) derivatives of `expected` by coordinates and amplitudes
+    cost : χ² with the priors' part
+    """
+
+    point: Point
+    reference: Point
+    offset: np.ndarray
+    expected: np.ndarray
+    residual: np.ndarray
+    slopes: np.ndarray
+    cost: float
+
+
+def calibrated(
+    model: Model, data: Data, start: Point, factors=(1.0, 1.0, 1.0)
+) -> tuple[Fit, Noise]:
+    """Fit from `start`, the covariance refreshed at what is found."""
+    point = start
+    for turn in range(REFRESHES):
+        here = noise(model, point, data).scaled(factors)
+        found = fit(model, data, here, point, reference=point)
+        point = found.point
+        if turn + 1 < REFRESHES and np.allclose(point.coordinates, start.coordinates, atol=0.02):
+            break
+    here = noise(model, point, data).scaled(factors)
+    return fit(model, data, here, point, reference=point), here
+
+
+def fit(model: Model, data: Data, noise: Noise, start: Point, reference: Point) -> Fit:
+    """Gauss–Newton on common random numbers, bounds kept.
+
+    The mean of the few common replicates is corrected by what the many say at `reference`; the
+    flow stays that of `reference`, but for parameters of the flow itself.
+    """
+    offset = offset_at(model, reference)
+    flow_at = None if _fits_flow(model) else reference
+    center, sd, low, high = box(model, start)
+
+    def system(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        expected = model.mean(_at(start, x), flow_at) + offset
+        misfit = noise.whitened(data.y - expected[data.use])
+        both = np.concatenate([misfit, (center - x) / sd])
+        return expected, both, float(both @ both)
+
+    x = np.clip([*start.coordinates, *start.amplitudes], low, high)
+    expected, misfit, cost = system(x)
+    slopes, fresh = _slopes(model, _at(start, x)), True
+    for _ in range(MOST_STEPS):
+        whole = np.vstack([noise.whitened(slopes[data.use]), np.diag(1.0 / sd)])
+        step = _step(whole, misfit, x, low, high)
+        promised = cost - float(np.sum((misfit - whole @ step) ** 2))
+        if promised < CLOSE:
+            break
+        part = 1.0
+        while part > 0.05:
+            tried = np.clip(x + part * step, low, high)
+            result = system(tried)
+            if result[2] < cost - 0.1 * part * promised:
+                break
+            part *= 0.4
+        else:
+            if fresh:
+                break
+            slopes, fresh = _slopes(model, _at(start, x)), True
+            continue
+        poor = cost - result[2] < 0.7 * promised
+        x, (expected, misfit, cost), fresh = tried, result, False
+        if poor:
+            slopes, fresh = _slopes(model, _at(start, x)), True
+    if not fresh:
+        slopes = _slopes(model, _at(start, x))
+    residual = data.y - expected[data.use]
+    return Fit(_at(start, x), reference, offset, expected, residual, slopes, cost)
+
+
+def offset_at(model: Model, point: Point) -> np.ndarray:
+    """What all replicates of `Model.scatter` say beyond the few common ones, (row)."""
+    many = [model.scatter_mean(point, case) for case in range(len(model.cases))]
+    return np.concatenate(many) - model.mean(point)
+
+
+def _fits_flow(model: Model) -> bool:
+    return any(c.name in ("exponent", "bulking") for c in model.coordinates)
+
+
+def _slopes(model: Model, point: Point) -> np.ndarray:
+    return np.column_stack(model.jacobian(point, point.terms))
+
+
+def _at(start: Point, x: np.ndarray) -> Point:
+    count = len(start.coordinates)
+    return start.moved(x[:count], x[count:])
+
+
+def box(model: Model, point: Point) -> tuple[np.ndarray, ...]:
+    """Prior's center and sd, and bounds, of all unknowns."""
+    terms = [term.described for term in point.terms]
+    ends = [limits(term) for term in point.terms]
+    center = np.array([*(c.start for c in model.coordinates), *(p.neutral for p in terms)])
+    sd = np.array([*model.prior_sd, *(AMPLITUDE_PRIOR * p.scale for p in terms)])
+    low = np.array([*(c.low for c in model.coordinates), *(end[0] for end in ends)])
+    high = np.array([*(c.high for c in model.coordinates), *(end[1] for end in ends)])
+    return center, sd, low, high
+
+
+def _step(whole, misfit, x, low, high) -> np.ndarray:
+    """Least-squares step; unknowns that it would push out of their bounds stay where they are."""
+    free = np.ones(len(x), dtype=bool)
+    step = np.zeros(len(x))
+    for _ in range(len(x) + 1):
+        step[:] = 0.0
+        if free.any():
+            step[free] = np.linalg.lstsq(whole[:, free], misfit, rcond=None)[0]
+        stuck = free & (((x <= low) & (step < 0)) | ((x >= high) & (step > 0)))
+        if not stuck.any():
+            break
+        free &= ~stuck
+    return np.clip(x + step, low, high) - x

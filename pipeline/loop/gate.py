@@ -1,0 +1,152 @@
+"""Is anything missing: one test of all that could be, at a stated rate of false alarms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.loop.covariance import LEAST_FREEDOM, Noise
+from pipeline.loop.data import Data
+from pipeline.loop.fit import Fit, box
+from pipeline.loop.hypotheses import Hypothesis
+from pipeline.loop.model import Model, Term
+
+DRAWS = 2000
+OMNIBUS = 0.2  # of alpha for the sum of squares
+TINY = 1e-10  # of a direction's square: what is left of one that the parameters explain
+
+
+@dataclass(frozen=True)
+class Projected:
+    """Residual and derivatives, whitened, without what calibration can explain.
+
+    Vectors have the readings first, then the priors' rows. `z` (m) is the residual; `columns`
+    (m, term) the derivatives by each amplitude, `unprojected` (term) their squared lengths before.
+    `basis` (m, unknown) spans what was projected out.
+    """
+
+    z: np.ndarray
+    terms: tuple[Term, ...]
+    columns: np.ndarray
+    unprojected: np.ndarray
+    basis: np.ndarray
+
+    def of(self, hypothesis: Hypothesis) -> np.ndarray:
+        """Columns (m, term) of a hypothesis."""
+        return self.columns[:, [self.terms.index(term) for term in hypothesis.terms]]
+
+    def survives(self, hypothesis: Hypothesis) -> float:
+        """Part of a hypothesis' signal, for all its amplitudes alike, that calibration leaves."""
+        places = [self.terms.index(term) for term in hypothesis.terms]
+        before = float(self.unprojected[places].sum())
+        return float((self.columns[:, places] ** 2).sum()) / before if before > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Outcome of the lack-of-fit test.
+
+    `scores` (direction) are standardized, `largest` their labels' best; `threshold` is the score
+    that alpha allows. `inflation` (direction) is the null variance of the raw score, which
+    exceeds 1 as the covariance is itself estimated.
+    """
+
+    statistic: float
+    p_value: float
+    alpha: float
+    labels: tuple[str, ...]
+    scores: np.ndarray
+    inflation: np.ndarray
+    threshold: float
+    omnibus: float
+    omnibus_p_value: float
+
+    @property
+    def rejected(self) -> bool:
+        """Whether the model lacks something."""
+        return self.p_value <= self.alpha
+
+
+def projected(
+    model: Model, data: Data, noise: Noise, found: Fit, terms: Sequence[Term], slopes: np.ndarray
+) -> Projected:
+    """`slopes` (row, term) are derivatives of the model's rows by `terms`."""
+    point = found.point
+    center, sd, _, _ = box(model, point)
+    at = np.array([*point.coordinates, *point.amplitudes])
+    basis = np.vstack([noise.whitened(found.slopes[data.use]), np.diag(1.0 / sd)])
+    basis = np.linalg.qr(basis)[0] if basis.shape[1] else basis
+    z = np.concatenate([noise.whitened(found.residual), (center - at) / sd])
+    whole = np.vstack([noise.whitened(slopes[data.use]), np.zeros((len(sd), len(terms)))])
+    before = (whole**2).sum(axis=0)
+    columns = _without(basis, whole)
+    columns[:, (columns**2).sum(axis=0) <= TINY * before] = 0.0
+    return Projected(_without(basis, z), tuple(terms), columns, before, basis)
+
+
+def lack_of_fit(
+    seen: Projected,
+    noise: Noise,
+    hypotheses: Sequence[Hypothesis],
+    alpha: float,
+    random: np.random.Generator,
+) -> Gate:
+    """Joint maximum over the score statistics of all hypotheses, with a part for |z|².
+
+    A hypothesis with several amplitudes enters with all of them alike; each of them is one of the
+    others. Scores on the side that physics excludes count nothing. Where enough degrees of freedom
+    are beyond all hypotheses, scores are measured by the residual there, as a t statistic is.
+    """
+    directions, signs, labels = [], [], []
+    for hypothesis in hypotheses:
+        scale = np.array([term.described.scale for term in hypothesis.terms])
+        direction = seen.of(hypothesis) @ scale
+        size = np.linalg.norm(direction)
+        if size > 1e-6:
+            directions.append(direction / size)
+            signs.append(hypothesis.terms[0].described.sign)
+            labels.append(hypothesis.label)
+    z = seen.z
+    errors = noise.draws(DRAWS, random)
+    null = np.vstack(
+        [noise.whitened(errors), random.standard_normal((len(z) - len(errors), DRAWS))]
+    )
+    null = _without(seen.basis, null)
+    null_sums = (null**2).sum(axis=0)
+    omnibus = float(z @ z)
+    omnibus_p = (1.0 + np.sum(null_sums >= omnibus)) / (DRAWS + 1.0)
+    if not directions:
+        p = min(1.0, omnibus_p)
+        return Gate(0.0, p, alpha, (), np.zeros(0), np.ones(0), np.inf, omnibus, omnibus_p)
+    matrix, side = np.array(directions), np.array(signs)
+    spread, null_spread = _beyond(seen, matrix, z), _beyond(seen, matrix, null)
+    raw, null_raw = matrix @ z / spread, matrix @ null / null_spread
+    inflation = null_raw.var(axis=1)
+    scores = _one_sided(raw / np.sqrt(inflation), side)
+    null_largest = _one_sided(null_raw / np.sqrt(inflation)[:, None], side[:, None]).max(axis=0)
+    largest = float(scores.max())
+    p_largest = (1.0 + np.sum(null_largest >= largest)) / (DRAWS + 1.0)
+    p = min(1.0, p_largest / (1.0 - OMNIBUS), omnibus_p / OMNIBUS)
+    threshold = float(np.quantile(null_largest, 1.0 - alpha * (1.0 - OMNIBUS)))
+    return Gate(
+        largest, float(p), alpha, tuple(labels), scores, inflation, threshold, omnibus, omnibus_p
+    )
+
+
+def _beyond(seen: Projected, directions: np.ndarray, values: np.ndarray) -> np.ndarray | float:
+    """Root mean square of `values` (m, ...) where no hypothesis reaches; 1 with little left."""
+    left, size, _ = np.linalg.svd(np.column_stack([seen.basis, directions.T]), full_matrices=True)
+    rest = left[:, int((size > 1e-2).sum()) :]
+    if rest.shape[1] < LEAST_FREEDOM:
+        return 1.0
+    return np.sqrt(((rest.T @ values) ** 2).mean(axis=0))
+
+
+def _one_sided(scores: np.ndarray, sign: np.ndarray) -> np.ndarray:
+    return np.where(sign == 0, np.abs(scores), np.maximum(sign * scores, 0.0))
+
+
+def _without(basis: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return values - basis @ (basis.T @ values)

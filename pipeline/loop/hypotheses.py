@@ -1,0 +1,127 @@
+"""What may be missing: effects of the catalogue by what shares their value, and local rules."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pipeline.config.effects import NOT_MEASURED
+from pipeline.config.study import Study
+from pipeline.effects import effects, lacking
+from pipeline.effects.local_rule import CHANNELS
+from pipeline.effects.local_rule import EFFECT as LOCAL_RULE
+from pipeline.loop.model import Model, Term
+
+PRIOR = {"none": 0.5, "physics": 0.3, "input": 0.07, "sensor": 0.08, "rule": 0.05}
+TOGETHER = 0.5  # of a physical effect's prior for all its keys at once, where there are several
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """An effect with one amplitude for each of its terms, or one of its keys alone.
+
+    `key` is None where it holds for the whole study or for all keys at once.
+    """
+
+    name: str
+    kind: str
+    scope: str
+    key: str | None
+    terms: tuple[Term, ...]
+    prior: float
+
+    @property
+    def label(self) -> str:
+        """Name, options and key in one word."""
+        options = "".join(f" {choice}" for _, choice in self.terms[0].options)
+        return f"{self.name}{options}" + (f" [{self.key}]" if self.key is not None else "")
+
+
+def catalogue(study: Study, model: Model, use: Sequence[int]) -> list[Hypothesis]:
+    """Hypotheses of the effects that the study tries; `use` are the rows that may speak for them.
+
+    An effect that an experiment declares already is part of the model there, and no candidate.
+    """
+    names = effects() if study.candidates == "all" else study.candidates
+    found: list[Hypothesis] = []
+    for name in sorted(set(names)):
+        effect = effects()[name]
+        if effect.kind == "rule" or not effect.moves_mean:
+            continue
+        scope = study.scopes.get(name, effect.scope)
+        groups = _groups(study, model, name, scope, use)
+        single = [
+            tuple(Term(name, p.name, scope, key, tuple(cases)) for p in effect.parameters)
+            for key, cases in groups.items()
+        ]
+        choices = [(key, terms, 1.0) for key, terms in zip(groups, single, strict=True)]
+        if len(choices) > 1 and effect.kind == "physics":
+            choices = [(k, t, (1.0 - TOGETHER) / len(single)) for k, t, _ in choices]
+            choices.append((None, tuple(t for terms in single for t in terms), TOGETHER))
+        elif choices:
+            choices = [(k, t, 1.0 / len(single)) for k, t, _ in choices]
+        found += [Hypothesis(name, effect.kind, scope, k, t, w) for k, t, w in choices]
+    return _with_priors(found)
+
+
+def rules(study: Study, model: Model) -> list[Hypothesis]:
+    """Every local rule, on every channel, for the whole study."""
+    if study.candidates != "all" and "local_rule" not in study.candidates:
+        return []
+    cases = tuple(
+        i for i, case in enumerate(model.cases) if "local_rule" not in case.experiment.effects
+    )
+    draws = tuple(i for i in cases if model.cases[i].experiment.is_draw)
+    found = []
+    for channel in CHANNELS:
+        where = draws if channel == "R" else cases
+        for feature in LOCAL_RULE.options["feature"] if where else ():
+            options = (("channel", channel), ("feature", feature))
+            term = Term("local_rule", "amplitude", "study", None, where, options)
+            found.append(Hypothesis("local_rule", "rule", "study", None, (term,), 1.0))
+    return _with_priors(found)
+
+
+def terms_of(hypotheses: Sequence[Hypothesis]) -> list[Term]:
+    """All their terms, each once."""
+    return list(dict.fromkeys(term for hypothesis in hypotheses for term in hypothesis.terms))
+
+
+def _groups(study, model, name, scope, use) -> dict[str | None, list[int]]:
+    """Cases that share one value of an effect, by key."""
+    effect = effects()[name]
+    groups: dict[str | None, list[int]] = {}
+    with_rows = {int(model.case_of[i]) for i in use}
+    for i, case in enumerate(model.cases):
+        experiment = case.experiment
+        if name in experiment.effects or lacking(effect, experiment, effect.neutral):
+            continue
+        if effect.scope == "load_cell":
+            label = study.data.label if study.data else experiment.data_label
+            if label in NOT_MEASURED:
+                continue
+            cells = dict.fromkeys(model.rows[j].load_cell for j in use if model.case_of[j] == i)
+            for cell in filter(None, cells):
+                groups.setdefault(cell, []).append(i)
+            continue
+        key = {"material": experiment.material.name, "experiment": experiment.name}.get(scope)
+        groups.setdefault(key, []).append(i)
+    return {k: members for k, members in groups.items() if with_rows & set(members)}
+
+
+def _with_priors(found: list[Hypothesis]) -> list[Hypothesis]:
+    """The kind's prior mass in equal parts to its names, then by the weights given."""
+    names = {kind: {h.name for h in found if h.kind == kind} for kind in PRIOR}
+    each = Counter(h.name for h in found if h.kind == "rule")
+    return [
+        Hypothesis(
+            h.name,
+            h.kind,
+            h.scope,
+            h.key,
+            h.terms,
+            PRIOR[h.kind] / len(names[h.kind]) * h.prior / each.get(h.name, 1),
+        )
+        for h in found
+    ]

@@ -1,0 +1,154 @@
+"""The loop on one set of readings: calibrate, test, attribute, add, again."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.config.study import Study
+from pipeline.loop.attribution import SURE, Attribution, Evidence, attribute
+from pipeline.loop.covariance import Noise, restricted_likelihood_factors
+from pipeline.loop.data import Data
+from pipeline.loop.fit import Fit, calibrated, fit
+from pipeline.loop.gate import Gate, Projected, lack_of_fit, projected
+from pipeline.loop.hypotheses import Hypothesis, catalogue, rules, terms_of
+from pipeline.loop.local_rules import rule_slopes
+from pipeline.loop.model import Model
+from pipeline.montecarlo.streams import LOOP_NULL, random_stream
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Round:
+    """One turn of the loop.
+
+    Attributes
+    ----------
+    fit, noise : the model so far, and the covariance at it
+    hypotheses : what might be missing
+    seen : residual and derivatives, whitened and projected
+    slopes : (row, term) derivatives by the hypotheses' terms, not whitened
+    gate : whether anything is missing
+    attribution : what, if so
+    freedom : degrees of freedom beyond all hypotheses
+    """
+
+    fit: Fit
+    noise: Noise
+    hypotheses: tuple[Hypothesis, ...]
+    seen: Projected
+    slopes: np.ndarray
+    gate: Gate
+    attribution: Attribution | None
+    freedom: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the loop did: its rounds, the added hypotheses and the final model."""
+
+    rounds: tuple[Round, ...]
+    added: tuple[Evidence, ...]
+    dropped: tuple[str, ...]
+    fit: Fit
+    noise: Noise
+    verdict: str
+
+    @property
+    def baseline(self) -> Fit:
+        """The calibrated model before anything was added."""
+        return self.rounds[0].fit
+
+
+def close(study: Study, model: Model, data: Data, most: int | None = None) -> Outcome:
+    """Run the loop on `data`; at most `most` (the study's `max_effects`) effects are added."""
+    most = study.max_effects if most is None else most
+    point = model.start
+    rounds: list[Round] = []
+    added: list[Evidence] = []
+    dropped: list[str] = []
+    found, here = calibrated(model, data, point)
+    while True:
+        alpha = study.alpha * 0.5 ** len(rounds)
+        one = turn(study, model, data, found, here, alpha, len(rounds))
+        rounds.append(one)
+        _log(study, one)
+        named = one.attribution.best if one.attribution else None
+        sure = one.attribution and one.attribution.by_name[named.hypothesis.name] >= SURE
+        if not one.gate.rejected or not sure or len(added) >= most:
+            break
+        added.append(named)
+        start = named.refit.point
+        found, here = calibrated(model, data, start, one.noise.factors)
+    verdict = _verdict(rounds[-1], added, most)
+    last = rounds[-1]
+    return Outcome(tuple(rounds), tuple(added), tuple(dropped), last.fit, last.noise, verdict)
+
+
+def turn(
+    study: Study, model: Model, data: Data, found: Fit, noise: Noise, alpha: float, number: int
+) -> Round:
+    """One round at a calibrated model: derivatives, noise, gate, attribution."""
+    hypotheses = [*catalogue(study, model, data.use), *rules(study, model)]
+    taken = {t.label for t in found.point.terms}
+    ruled = any(t.effect == "local_rule" for t in found.point.terms)
+    hypotheses = [
+        h
+        for h in hypotheses
+        if not taken & {t.label for t in h.terms} and not (ruled and h.kind == "rule")
+    ]
+    by_effect = [h for h in hypotheses if h.kind != "rule"]
+    by_rule = [h for h in hypotheses if h.kind == "rule"]
+    terms = terms_of(by_effect)
+    _, slopes = model.jacobian(found.point, terms)
+    if by_rule:
+        slopes = np.hstack([slopes, rule_slopes(model, found.point, by_rule)])
+        terms = [*terms, *terms_of(by_rule)]
+    declared = noise.scaled((1.0, 1.0, 1.0))
+    explained = np.hstack([found.slopes, slopes])[data.use]
+    factors, freedom = restricted_likelihood_factors(declared, found.residual, explained)
+    noise = declared.scaled(factors)
+    found = fit(model, data, noise, found.point, found.reference)
+    seen = projected(model, data, noise, found, terms, slopes)
+    random = random_stream(0, study.name, LOOP_NULL, number)
+    gate = lack_of_fit(seen, noise, hypotheses, alpha, random)
+    found_out = None
+    if gate.rejected:
+        inflation = max(1.0, float(np.mean(gate.inflation)))
+        found_out = attribute(model, data, noise, found, seen, hypotheses, inflation)
+    return Round(found, noise, tuple(hypotheses), seen, slopes, gate, found_out, freedom)
+
+
+def _verdict(last: Round, added: Sequence[Evidence], most: int) -> str:
+    if added:
+        only_rules = all(e.hypothesis.kind == "rule" for e in added)
+        return "unknown_effect" if only_rules else "effect"
+    if not last.gate.rejected:
+        return "no_effect_detectable"
+    return "ambiguous"
+
+
+def _log(study: Study, one: Round) -> None:
+    gate = one.gate
+    best = gate.labels[int(np.argmax(gate.scores))] if gate.labels else "nothing"
+    log.info(
+        "%s: %d terms; p = %.4g (alpha %.3g), largest score %.2f of %s, omnibus p %.3g; factors %s",
+        study.name,
+        len(one.fit.point.terms),
+        gate.p_value,
+        gate.alpha,
+        gate.statistic,
+        best,
+        gate.omnibus_p_value,
+        [round(f, 2) for f in one.noise.factors],
+    )
+    if one.attribution:
+        log.info(
+            "%s: %s",
+            study.name,
+            {n: round(p, 3) for n, p in list(one.attribution.by_name.items())[:5]},
+        )
