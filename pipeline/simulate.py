@@ -609,9 +609,11 @@ class _Recorder:
             )
         stress = base_load / setup.lattice.cell_area * KPA
         on_ground = stress[setup.base]
-        readings.vertical_stress[t] = np.tensordot(setup.footprints, stress, axes=2)
-        readings.base_vertical_stress[t] = on_ground.mean()
-        readings.base_vertical_stress_std[t] = on_ground.std()
+        mean = on_ground.mean()
+        footprints = setup.footprints.reshape(len(setup.footprints), -1)
+        readings.vertical_stress[t] = footprints @ stress.ravel()
+        readings.base_vertical_stress[t] = mean
+        readings.base_vertical_stress_std[t] = np.sqrt(np.square(on_ground - mean).mean())
         readings.weight_balance_error[t] = error
         if fields is not None:
             fields[t, : len(load)] = load / setup.lattice.cell_area * KPA

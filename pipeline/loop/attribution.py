@@ -138,7 +138,8 @@ def _refitted(model, data, noise, found, seen, hypothesis, inflation) -> Evidenc
     start = [t.described.neutral + a for t, a in zip(terms, amplitudes, strict=True)]
     bounds = [limits(term) for term in terms]
     start = [min(max(a, low), high) for a, (low, high) in zip(start, bounds, strict=True)]
-    refit = fit(model, data, noise, found.point.with_terms(terms, start), found.reference)
+    slopes = np.hstack([found.slopes, seen.slopes_of(hypothesis)])
+    refit = fit(model, data, noise, found.point.with_terms(terms, start), found.reference, slopes)
     added = len(terms)
     whole = projected(model, data, noise, _first(refit, added), terms, refit.slopes[:, -added:])
     tau = np.array([term.described.scale for term in terms])

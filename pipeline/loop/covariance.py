@@ -61,24 +61,29 @@ class Noise:
         return errors + shared * _root(self.parts[1]) @ normal[1]
 
 
-def noise(model: Model, point: Point, data: Data) -> Noise:
-    """Noise at a point of the model, with the instruments' errors as declared."""
+def noise(model: Model, point: Point, data: Data, rough: bool = False) -> Noise:
+    """Noise at a point of the model, with the instruments' errors as declared.
+
+    `rough`: from the common replicates alone, each row by itself; enough to come near a fit.
+    """
     size = len(data.use)
     scatter = np.zeros((size, size))
     residuals = []
     for case, where in enumerate(model.slices):
-        half = model.halves(case)
+        half, others = (model.crn, 0) if rough else model.counts(case)
         places = np.flatnonzero((data.use >= where.start) & (data.use < where.stop))
         if not len(places):
             continue
-        rows = model.scatter(point, case)[:, data.use[places] - where.start]
+        rows = model.scatter(point, case, half + others)[:, data.use[places] - where.start]
         weight = data.scatter[places]
         block = np.atleast_2d(np.cov(rows[:half], rowvar=False))
-        block = (1.0 - SHRINK) * block + SHRINK * np.diag(np.diag(block))
+        shrink = 1.0 if rough else SHRINK
+        block = (1.0 - shrink) * block + shrink * np.diag(np.diag(block))
         # a mean over all replicates stands in for the expectation
         scatter[np.ix_(places, places)] = block * (np.outer(weight, weight) + 1.0 / len(rows))
-        off = (rows[half:] - rows[half:].mean(axis=0)) * np.sqrt(half / (half - 1))
-        residuals.append((places, off * np.sqrt(weight**2 + 1.0 / len(rows))))
+        if others:
+            off = (rows[half:] - rows[half:].mean(axis=0)) * np.sqrt(others / (others - 1))
+            residuals.append((places, off * np.sqrt(weight**2 + 1.0 / len(rows))))
     parts = (scatter, data.shared, np.diag(data.independent))
     factors = (1.0, 1.0, 1.0)
     return Noise(parts, factors, _lower(parts, factors), tuple(residuals))

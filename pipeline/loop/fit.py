@@ -11,7 +11,9 @@ from pipeline.loop.data import Data
 from pipeline.loop.model import Model, Point, limits
 
 MOST_STEPS = 25
-CLOSE = 1e-3  # drop of χ² that a step must promise
+CLOSE = 3e-3  # drop of χ² that a step must promise
+FAR = 0.3  # of an unknown's scale: from there on the slopes of another point do not serve
+MOVED = 0.35  # likewise for the covariance
 REFRESHES = 2  # times that the covariance follows the fit
 AMPLITUDE_PRIOR = 5.0  # sd of an amplitude's prior in a fit, in its scale: too wide to shrink it
 
@@ -41,28 +43,36 @@ class Fit:
 
 
 def calibrated(
-    model: Model, data: Data, start: Point, factors=(1.0, 1.0, 1.0)
+    model: Model, data: Data, start: Point, factors: tuple[float, float, float] = (1.0, 1.0, 1.0)
 ) -> tuple[Fit, Noise]:
-    """Fit from `start`, the covariance refreshed at what is found."""
-    point = start
-    for turn in range(REFRESHES):
-        here = noise(model, point, data).scaled(factors)
-        found = fit(model, data, here, point, reference=point)
-        point = found.point
-        if turn + 1 < REFRESHES and np.allclose(point.coordinates, start.coordinates, atol=0.02):
+    """Fit from `start`, then again with the covariance of what was found, until it stays."""
+    rough = noise(model, start, data, rough=True).scaled(factors)
+    found = fit(model, data, rough, start)
+    for _ in range(REFRESHES):
+        reference = found.point
+        here = noise(model, reference, data).scaled(factors)
+        found = fit(model, data, here, reference, reference, found.slopes)
+        if not _is_far(model, found.point, reference, MOVED):
             break
-    here = noise(model, point, data).scaled(factors)
-    return fit(model, data, here, point, reference=point), here
+    return found, here
 
 
-def fit(model: Model, data: Data, noise: Noise, start: Point, reference: Point) -> Fit:
+def fit(
+    model: Model,
+    data: Data,
+    noise: Noise,
+    start: Point,
+    reference: Point | None = None,
+    slopes: np.ndarray | None = None,
+) -> Fit:
     """Gauss–Newton on common random numbers, bounds kept.
 
     The mean of the few common replicates is corrected by what the many say at `reference`; the
-    flow stays that of `reference`, but for parameters of the flow itself.
+    flow stays that of `reference`, but for parameters of the flow itself. `slopes` are
+    derivatives at or near `start`; they are taken as long as they serve.
     """
-    offset = offset_at(model, reference)
-    flow_at = None if _fits_flow(model) else reference
+    offset = np.zeros(len(model.rows)) if reference is None else offset_at(model, reference)
+    flow_at = None if _fits_flow(model) else reference or start
     center, sd, low, high = box(model, start)
 
     def system(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -72,40 +82,49 @@ def fit(model: Model, data: Data, noise: Noise, start: Point, reference: Point) 
         return expected, both, float(both @ both)
 
     x = np.clip([*start.coordinates, *start.amplitudes], low, high)
+    if slopes is None:
+        slopes = _slopes(model, _at(start, x))
+    sloped = _at(start, x)
     expected, misfit, cost = system(x)
-    slopes, fresh = _slopes(model, _at(start, x)), True
     for _ in range(MOST_STEPS):
         whole = np.vstack([noise.whitened(slopes[data.use]), np.diag(1.0 / sd)])
         step = _step(whole, misfit, x, low, high)
         promised = cost - float(np.sum((misfit - whole @ step) ** 2))
-        if promised < CLOSE:
-            break
-        part = 1.0
+        done = promised < CLOSE
+        part = 0.0 if done else 1.0
         while part > 0.05:
             tried = np.clip(x + part * step, low, high)
             result = system(tried)
             if result[2] < cost - 0.1 * part * promised:
                 break
             part *= 0.4
-        else:
-            if fresh:
+        here = _at(start, x)
+        if part <= 0.05:  # no step to take: at the end, or with slopes from too far away
+            if not _is_far(model, here, sloped, 0.0 if not done else FAR):
                 break
-            slopes, fresh = _slopes(model, _at(start, x)), True
+            slopes, sloped = _slopes(model, here), here
             continue
-        poor = cost - result[2] < 0.7 * promised
-        x, (expected, misfit, cost), fresh = tried, result, False
-        if poor:
-            slopes, fresh = _slopes(model, _at(start, x)), True
-    if not fresh:
-        slopes = _slopes(model, _at(start, x))
+        x, (expected, misfit, cost) = tried, result
     residual = data.y - expected[data.use]
-    return Fit(_at(start, x), reference, offset, expected, residual, slopes, cost)
+    point = _at(start, x)
+    return Fit(point, reference or start, offset, expected, residual, slopes, cost)
+
+
+def _is_far(model: Model, one: Point, other: Point, far: float) -> bool:
+    """Whether two points differ by more than `far` of an unknown's scale."""
+    sizes = [*(c.size for c in model.coordinates), *(t.described.scale for t in one.terms)]
+    moved = np.subtract(
+        [*one.coordinates, *one.amplitudes], [*other.coordinates, *other.amplitudes]
+    )
+    return bool(np.any(np.abs(moved) > far * np.array(sizes)))
 
 
 def offset_at(model: Model, point: Point) -> np.ndarray:
     """What all replicates of `Model.scatter` say beyond the few common ones, (row)."""
-    many = [model.scatter_mean(point, case) for case in range(len(model.cases))]
-    return np.concatenate(many) - model.mean(point)
+    offset = -model.mean(point)
+    for case in model.active:
+        offset[model.slices[case]] += model.scatter_mean(point, case)
+    return offset
 
 
 def _fits_flow(model: Model) -> bool:

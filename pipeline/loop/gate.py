@@ -24,11 +24,13 @@ class Projected:
 
     Vectors have the readings first, then the priors' rows. `z` (m) is the residual; `columns`
     (m, term) the derivatives by each amplitude, `unprojected` (term) their squared lengths before.
-    `basis` (m, unknown) spans what was projected out.
+    `basis` (m, unknown) spans what was projected out. `slopes` (row, term) are the derivatives
+    themselves.
     """
 
     z: np.ndarray
     terms: tuple[Term, ...]
+    slopes: np.ndarray
     columns: np.ndarray
     unprojected: np.ndarray
     basis: np.ndarray
@@ -36,6 +38,10 @@ class Projected:
     def of(self, hypothesis: Hypothesis) -> np.ndarray:
         """Columns (m, term) of a hypothesis."""
         return self.columns[:, [self.terms.index(term) for term in hypothesis.terms]]
+
+    def slopes_of(self, hypothesis: Hypothesis) -> np.ndarray:
+        """Derivatives (row, term) of the model's rows."""
+        return self.slopes[:, [self.terms.index(term) for term in hypothesis.terms]]
 
     def survives(self, hypothesis: Hypothesis) -> float:
         """Part of a hypothesis' signal, for all its amplitudes alike, that calibration leaves."""
@@ -83,7 +89,7 @@ def projected(
     before = (whole**2).sum(axis=0)
     columns = _without(basis, whole)
     columns[:, (columns**2).sum(axis=0) <= TINY * before] = 0.0
-    return Projected(_without(basis, z), tuple(terms), columns, before, basis)
+    return Projected(_without(basis, z), tuple(terms), slopes, columns, before, basis)
 
 
 def lack_of_fit(

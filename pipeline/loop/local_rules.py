@@ -27,12 +27,12 @@ def rule_slopes(model: Model, point: Point, rules: Sequence[Hypothesis]) -> np.n
     columns = [
         channels.index(w["channel"]) * len(features) + features.index(w["feature"]) for w in wanted
     ]
-    jobs = [(case, k) for case in range(len(model.cases)) for k in range(REPLICATES)]
+    jobs = [(case, k) for case in model.active for k in range(REPLICATES)]
     parts = run_tasks([partial(_gradients, model, point, *job) for job in jobs], model.execution)
-    whole = np.zeros((len(model.rows), len(channels) * len(features)))
-    for case, where in enumerate(model.slices):
+    whole = np.full((len(model.rows), len(channels) * len(features)), np.nan)
+    for case in model.active:
         each = np.array([p for p, job in zip(parts, jobs, strict=True) if job[0] == case])
-        whole[where] = model.log_slopes(point, case, each)
+        whole[model.slices[case]] = model.log_slopes(point, case, each)
     return whole[:, columns]
 
 

@@ -7,6 +7,7 @@ numbers; nothing here knows a measured value.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
@@ -26,7 +27,8 @@ from pipeline.parameters import Parameters, carry_transmission, declared_paramet
 from pipeline.simulate import FlowRecord, Setup, make_setup, record_flow, simulate
 
 CRN = 6  # common random replicates of every evaluation
-SCATTER = 96  # replicates that the covariance is made of, and as many others for null laws
+SCATTER, OTHERS = 90, 54  # replicates that the covariance is made of, and others for null laws
+CLEAR = 4.0  # a derivative's square over that of its error, from which it is one
 LEAST = 0.01  # of the largest replicate: a simulated stress below it is taken for it
 FLOW_BYTES = 600_000_000  # that kept flows may take together
 CHUNK = 16  # replicates of a task
@@ -133,7 +135,6 @@ class Model:
     shared: tuple[Shared, ...]
     execution: Execution = field(default_factory=Execution)
     crn: int = CRN
-    scatter_count: int = SCATTER
     simulated: int = 0
     _setups: list[Setup] = field(init=False)
     _readers: list[RowReader] = field(init=False)
@@ -155,6 +156,13 @@ class Model:
         self.is_log = np.array([row.quantity not in GEOMETRY for row in self.rows], dtype=bool)
         self._share = np.array([1.0 / row.count if row.count else 0.0 for row in self.rows])
         self.coordinates = tuple(self._coordinates())
+        self.active = tuple(range(len(self.cases)))
+
+    def only(self, rows: Sequence[int]) -> Model:
+        """The same model, which simulates nothing but the cases of some rows: others are NaN."""
+        view = copy(self)
+        view.active = tuple(sorted({int(self.case_of[i]) for i in rows}))
+        return view
 
     # -- points ------------------------------------------------------------------------------
 
@@ -237,15 +245,17 @@ class Model:
         paths.
         """
         self.prepare([(point, flow_at)])
-        parts = [self._of_case(i, point, flow_at) for i in range(len(self.cases))]
-        return np.concatenate(parts) if parts else np.zeros(0)
+        rows = np.full(len(self.rows), np.nan)
+        for case in self.active:
+            rows[self.slices[case]] = self._of_case(case, point, flow_at)
+        return rows
 
     def prepare(self, points: Iterable[tuple[Point, Point | None]]) -> None:
         """Simulate what `mean` will want of these points, all at once."""
         wanted = {}
         for point, flow_at in points:
-            for i in range(len(self.cases)):
-                key, job = self._job(i, point, flow_at)
+            for case in self.active:
+                key, job = self._job(case, point, flow_at)
                 if key not in self._values:
                     wanted[key] = job
         self.simulated += self.crn * len(wanted)
@@ -282,20 +292,24 @@ class Model:
         moved = expected[first] - kept[first]
         return kept + np.where(np.array(same) | (first < 0), 0.0, moved)
 
-    def halves(self, case: int) -> int:
-        """Half the number of replicates of `scatter`: few where no row has a packing's scatter."""
+    def counts(self, case: int) -> tuple[int, int]:
+        """Replicates of `scatter` for the covariance and others; few without any scatter."""
         of_packings = any(row.count for row in self.cases[case].rows)
-        return self.scatter_count if of_packings else self.crn
+        return (SCATTER, OTHERS) if of_packings else (self.crn, self.crn)
 
-    def scatter(self, point: Point, case: int) -> np.ndarray:
-        """Rows (replicate, row) of twice `halves` replicates; the first are the common ones.
+    def scatter(self, point: Point, case: int, count: int | None = None) -> np.ndarray:
+        """Rows (replicate, row) of many replicates, see `counts`; the first are the common ones.
 
         Positive quantities as logarithms.
         """
+        count = count or sum(self.counts(case))
         key, (_, parameters, ground, _) = self._job(case, point, None)
-        known = self._values.get(("scatter", key))
+        if count == self.crn:
+            self.prepare([(point, None)])
+            known = self._values[key]
+        else:
+            known = self._values.get(("scatter", key))
         if known is None:
-            count = 2 * self.halves(case)
             self.simulated += count
             here = (case, parameters, ground, (parameters, ground))
             starts = range(0, count, CHUNK)
@@ -405,8 +419,29 @@ class Model:
         for (above, up, flow_up), (below, down, flow_down) in moves:
             difference = self.mean(above, flow_up) - self.mean(below, flow_down)
             columns.append(difference / (up - down))
+            if not self._is_clear(above, flow_up, below, flow_down):
+                columns[-1] = np.zeros(len(self.rows))
         whole = np.column_stack(columns) if columns else np.zeros((len(self.rows), 0))
         return whole[:, : len(self.coordinates)], whole[:, len(self.coordinates) :]
+
+    def _is_clear(self, above: Point, flow_above, below: Point, flow_below) -> bool:
+        """Whether two points differ by more than a few replicates' chance.
+
+        What acts through random draws of its own alone, such as another factor in each packing,
+        moves no mean, but the mean of few replicates.
+        """
+        signal = error = 0.0
+        for case in self.active:
+            ends = [self._job(case, above, flow_above)[0], self._job(case, below, flow_below)[0]]
+            if ends[0] == ends[1]:
+                continue
+            one, other = (self._values[key] for key in ends)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                each = np.log(_floored(one)) - np.log(_floored(other))
+            each = each[:, np.isfinite(each).all(axis=0)]
+            signal += float((each.mean(axis=0) ** 2).sum())
+            error += float(each.var(axis=0, ddof=1).sum()) / len(each)
+        return signal == 0.0 or signal > CLEAR * error
 
     def _ends_of_coordinate(self, point: Point, j: int, steps: float):
         coordinate, u = self.coordinates[j], point.coordinates[j]
@@ -418,8 +453,8 @@ class Model:
             moved[j] = u + change
             return point.moved(moved, point.amplitudes), change, None if of_flow else point
 
-        low, high = coordinate.low, coordinate.high
-        return end(min(step, high - u)), end(-min(step, u - low))
+        room = coordinate.high - u >= step
+        return end(step if room else -step), end(-step if of_flow and room else 0.0)
 
     def _ends_of_term(self, point: Point, term: Term, steps: float):
         described = term.described
@@ -427,7 +462,7 @@ class Model:
             point = point.with_terms([term], [described.neutral])
         place = point.terms.index(term)
         at = point.amplitudes[place]
-        low, high = limits(term)
+        _, high = limits(term)
         step = steps * described.scale
 
         def end(change: float):
@@ -435,7 +470,7 @@ class Model:
             moved[place] = at + change
             return point.moved(point.coordinates, moved), change, point
 
-        return end(min(step, high - at)), end(-min(step, at - low))
+        return end(step if high - at >= step else -step), end(0.0)
 
     def log_slopes(self, point: Point, case: int, slopes: np.ndarray) -> np.ndarray:
         """Derivatives (row, direction) of `mean`, from those of raw rows.

@@ -31,7 +31,6 @@ class Round:
     fit, noise : the model so far, and the covariance at it
     hypotheses : what might be missing
     seen : residual and derivatives, whitened and projected
-    slopes : (row, term) derivatives by the hypotheses' terms, not whitened
     gate : whether anything is missing
     attribution : what, if so
     freedom : degrees of freedom beyond all hypotheses
@@ -41,7 +40,6 @@ class Round:
     noise: Noise
     hypotheses: tuple[Hypothesis, ...]
     seen: Projected
-    slopes: np.ndarray
     gate: Gate
     attribution: Attribution | None
     freedom: int
@@ -67,6 +65,7 @@ class Outcome:
 def close(study: Study, model: Model, data: Data, most: int | None = None) -> Outcome:
     """Run the loop on `data`; at most `most` (the study's `max_effects`) effects are added."""
     most = study.max_effects if most is None else most
+    model = model.only(data.use)
     point = model.start
     rounds: list[Round] = []
     added: list[Evidence] = []
@@ -112,7 +111,7 @@ def turn(
     explained = np.hstack([found.slopes, slopes])[data.use]
     factors, freedom = restricted_likelihood_factors(declared, found.residual, explained)
     noise = declared.scaled(factors)
-    found = fit(model, data, noise, found.point, found.reference)
+    found = fit(model, data, noise, found.point, found.reference, found.slopes)
     seen = projected(model, data, noise, found, terms, slopes)
     random = random_stream(0, study.name, LOOP_NULL, number)
     gate = lack_of_fit(seen, noise, hypotheses, alpha, random)
@@ -120,7 +119,7 @@ def turn(
     if gate.rejected:
         inflation = max(1.0, float(np.mean(gate.inflation)))
         found_out = attribute(model, data, noise, found, seen, hypotheses, inflation)
-    return Round(found, noise, tuple(hypotheses), seen, slopes, gate, found_out, freedom)
+    return Round(found, noise, tuple(hypotheses), seen, gate, found_out, freedom)
 
 
 def _verdict(last: Round, added: Sequence[Evidence], most: int) -> str:

@@ -7,7 +7,8 @@ import os
 import sys
 from pathlib import Path
 
-os.environ.setdefault("NUMBA_NUM_THREADS", "1")  # Dask's threads are the only parallelism of a job
+for _library in ("NUMBA", "OMP", "OPENBLAS", "MKL"):  # Dask's threads are a job's only parallelism
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 
 def log_to(path: str | Path) -> None:
