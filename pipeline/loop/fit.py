@@ -10,12 +10,13 @@ from pipeline.loop.covariance import Noise, noise
 from pipeline.loop.data import Data
 from pipeline.loop.model import Model, Point, limits
 
-MOST_STEPS = 25
-CLOSE = 3e-3  # drop of χ² that a step must promise
+MOST_STEPS = 40
+FIRST_DAMPING, MOST_DAMPING = 1.0, 1e3  # in units of an unknown's usual change
+CLOSE = 3e-4  # drop of χ² that a step must promise
 FAR = 0.3  # of an unknown's scale: from there on the slopes of another point do not serve
 MOVED = 0.35  # likewise for the covariance
 REFRESHES = 2  # times that the covariance follows the fit
-AMPLITUDE_PRIOR = 5.0  # sd of an amplitude's prior in a fit, in its scale: too wide to shrink it
+AMPLITUDE_PRIOR = 30.0  # sd of an amplitude's prior in a fit, in its scale: too wide to shrink it
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def fit(
     reference: Point | None = None,
     slopes: np.ndarray | None = None,
 ) -> Fit:
-    """Gauss–Newton on common random numbers, bounds kept.
+    """Levenberg and Marquardt's least squares on common random numbers, bounds kept.
 
     The mean of the few common replicates is corrected by what the many say at `reference`; the
     flow stays that of `reference`, but for parameters of the flow itself. `slopes` are
@@ -84,39 +85,47 @@ def fit(
     x = np.clip([*start.coordinates, *start.amplitudes], low, high)
     if slopes is None:
         slopes = _slopes(model, _at(start, x))
-    sloped = _at(start, x)
+    sloped, damping = _at(start, x), 0.0
     expected, misfit, cost = system(x)
+    size = _sizes(model, start)
     for _ in range(MOST_STEPS):
         whole = np.vstack([noise.whitened(slopes[data.use]), np.diag(1.0 / sd)])
-        step = _step(whole, misfit, x, low, high)
+        far = _is_far(model, _at(start, x), sloped, FAR)
+        free = _step(whole, misfit, x, low, high, 0.0 * size)
+        left = cost - float(np.sum((misfit - whole @ free) ** 2))
+        if (left < CLOSE and not far) or damping > MOST_DAMPING:
+            break
+        step = _step(whole, misfit, x, low, high, damping / size)
         promised = cost - float(np.sum((misfit - whole @ step) ** 2))
-        done = promised < CLOSE
-        part = 0.0 if done else 1.0
-        while part > 0.05:
-            tried = np.clip(x + part * step, low, high)
-            result = system(tried)
-            if result[2] < cost - 0.1 * part * promised:
-                break
-            part *= 0.4
-        here = _at(start, x)
-        if part <= 0.05:  # no step to take: at the end, or with slopes from too far away
-            if not _is_far(model, here, sloped, 0.0 if not done else FAR):
-                break
-            slopes, sloped = _slopes(model, here), here
-            continue
-        x, (expected, misfit, cost) = tried, result
+        tried = np.clip(x + step, low, high)
+        result = system(tried)
+        kept = (cost - result[2]) / max(promised, 1e-12)
+        if kept > 0.1:
+            x, (expected, misfit, cost) = tried, result
+        if kept < 0.5 or far:  # the slopes do not serve this far
+            if _at(start, x) != sloped:
+                slopes, sloped = _slopes(model, _at(start, x)), _at(start, x)
+            if kept < 0.1:
+                damping = max(4.0 * damping, FIRST_DAMPING)
+        else:
+            damping = 0.3 * damping
     residual = data.y - expected[data.use]
     point = _at(start, x)
     return Fit(point, reference or start, offset, expected, residual, slopes, cost)
 
 
+def _sizes(model: Model, point: Point) -> np.ndarray:
+    """Usual changes of all unknowns."""
+    sizes = [*(c.size for c in model.coordinates), *(t.described.scale for t in point.terms)]
+    return np.array(sizes)
+
+
 def _is_far(model: Model, one: Point, other: Point, far: float) -> bool:
     """Whether two points differ by more than `far` of an unknown's scale."""
-    sizes = [*(c.size for c in model.coordinates), *(t.described.scale for t in one.terms)]
     moved = np.subtract(
         [*one.coordinates, *one.amplitudes], [*other.coordinates, *other.amplitudes]
     )
-    return bool(np.any(np.abs(moved) > far * np.array(sizes)))
+    return bool(np.any(np.abs(moved) > far * _sizes(model, one)))
 
 
 def offset_at(model: Model, point: Point) -> np.ndarray:
@@ -151,8 +160,10 @@ def box(model: Model, point: Point) -> tuple[np.ndarray, ...]:
     return center, sd, low, high
 
 
-def _step(whole, misfit, x, low, high) -> np.ndarray:
-    """Least-squares step; unknowns that it would push out of their bounds stay where they are."""
+def _step(whole, misfit, x, low, high, damping) -> np.ndarray:
+    """Damped least-squares step; unknowns that it would push out of their bounds stay."""
+    whole = np.vstack([whole, np.diag(damping)])
+    misfit = np.concatenate([misfit, np.zeros(len(x))])
     free = np.ones(len(x), dtype=bool)
     step = np.zeros(len(x))
     for _ in range(len(x) + 1):

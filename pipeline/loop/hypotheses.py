@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 from pipeline.config.effects import NOT_MEASURED
 from pipeline.config.study import Study
-from pipeline.effects import effects, lacking
+from pipeline.effects import Parameter, effects, lacking
 from pipeline.effects.local_rule import CHANNELS
 from pipeline.effects.local_rule import EFFECT as LOCAL_RULE
 from pipeline.loop.model import Model, Term
 
-PRIOR = {"none": 0.5, "physics": 0.3, "input": 0.07, "sensor": 0.08, "rule": 0.05}
+PRIOR = {"none": 0.2, "physics": 0.3, "input": 0.07, "sensor": 0.08, "rule": 0.05}
 TOGETHER = 0.5  # of a physical effect's prior for all its keys at once, where there are several
 
 
@@ -21,7 +21,7 @@ TOGETHER = 0.5  # of a physical effect's prior for all its keys at once, where t
 class Hypothesis:
     """An effect with one amplitude for each of its terms, or one of its keys alone.
 
-    `key` is None where it holds for the whole study or for all keys at once.
+    `key` is None where it holds for the whole study: with one value, or with one for each material.
     """
 
     name: str
@@ -35,6 +35,9 @@ class Hypothesis:
     def label(self) -> str:
         """Name, options and key in one word."""
         options = "".join(f" {choice}" for _, choice in self.terms[0].options)
+        parameters = dict.fromkeys(term.parameter for term in self.terms)
+        if len(parameters) < len(effects()[self.name].parameters):
+            options += "".join(f" {parameter}" for parameter in parameters)
         return f"{self.name}{options}" + (f" [{self.key}]" if self.key is not None else "")
 
 
@@ -51,17 +54,11 @@ def catalogue(study: Study, model: Model, use: Sequence[int]) -> list[Hypothesis
             continue
         scope = study.scopes.get(name, effect.scope)
         groups = _groups(study, model, name, scope, use)
-        single = [
-            tuple(Term(name, p.name, scope, key, tuple(cases)) for p in effect.parameters)
-            for key, cases in groups.items()
-        ]
-        choices = [(key, terms, 1.0) for key, terms in zip(groups, single, strict=True)]
-        if len(choices) > 1 and effect.kind == "physics":
-            choices = [(k, t, (1.0 - TOGETHER) / len(single)) for k, t, _ in choices]
-            choices.append((None, tuple(t for terms in single for t in terms), TOGETHER))
-        elif choices:
-            choices = [(k, t, 1.0 / len(single)) for k, t, _ in choices]
-        found += [Hypothesis(name, effect.kind, scope, k, t, w) for k, t, w in choices]
+        parts = _parts(effect.parameters)
+        for part in parts:
+            for key, terms, weight in _choices(name, effect.kind, scope, groups, part):
+                weight /= len(parts)
+                found.append(Hypothesis(name, effect.kind, scope, key, terms, weight))
     return _with_priors(found)
 
 
@@ -81,6 +78,33 @@ def rules(study: Study, model: Model) -> list[Hypothesis]:
             term = Term("local_rule", "amplitude", "study", None, where, options)
             found.append(Hypothesis("local_rule", "rule", "study", None, (term,), 1.0))
     return _with_priors(found)
+
+
+def _parts(parameters: Sequence[Parameter]) -> list[tuple[Parameter, ...]]:
+    """Each parameter alone, and all together."""
+    alone = [(parameter,) for parameter in parameters]
+    return alone if len(alone) == 1 else [*alone, tuple(parameters)]
+
+
+def _choices(name: str, kind: str, scope: str, groups: dict, parameters: Sequence[Parameter]):
+    """(key, terms, weight): each key alone and, for physics, all together.
+
+    Together each material has its own value, while all experiments share one.
+    """
+    single = [
+        tuple(Term(name, p.name, scope, key, tuple(cases)) for p in parameters)
+        for key, cases in groups.items()
+    ]
+    if len(single) < 2 or kind != "physics":
+        yield from ((k, t, 1.0 / len(single)) for k, t in zip(groups, single, strict=True))
+        return
+    for key, terms in zip(groups, single, strict=True):
+        yield key, terms, (1.0 - TOGETHER) / len(single)
+    together = tuple(term for terms in single for term in terms)
+    if scope == "experiment":
+        cases = tuple(sorted(case for members in groups.values() for case in members))
+        together = tuple(Term(name, p.name, "study", None, cases) for p in parameters)
+    yield None, together, TOGETHER
 
 
 def terms_of(hypotheses: Sequence[Hypothesis]) -> list[Term]:

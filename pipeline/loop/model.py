@@ -32,8 +32,9 @@ CLEAR = 4.0  # a derivative's square over that of its error, from which it is on
 LEAST = 0.01  # of the largest replicate: a simulated stress below it is taken for it
 FLOW_BYTES = 600_000_000  # that kept flows may take together
 CHUNK = 16  # replicates of a task
-PRIOR = 2.0  # sd of a calibrated coordinate about its declared value, in its scale
-PRIOR_SCALE = {"E": 1.0, "s.std": 0.5, "s.mean": 2.0, "R": 0.3, "E_min": 1.0, "exponent": 0.5}
+# of a calibrated coordinate: sd of the weak prior about its declared value, and a usual change
+PRIOR_SD = {"E": 20.0, "s.std": 1.0, "s.mean": 4.0, "R": 0.6, "E_min": 2.0}
+SIZE = {"s.std": 0.5, "s.mean": 2.0, "R": 0.3, "exponent": 0.5}
 STEP, FLOW_STEP = 0.02, 0.25  # of differences, in a coordinate's scale
 
 
@@ -65,7 +66,7 @@ class Coordinate:
     @property
     def size(self) -> float:
         """Size of a usual change of the coordinate."""
-        return PRIOR_SCALE.get(self.name, 1.0)
+        return SIZE.get(self.name, 1.0)
 
     @property
     def label(self) -> str:
@@ -135,14 +136,14 @@ class Model:
     shared: tuple[Shared, ...]
     execution: Execution = field(default_factory=Execution)
     crn: int = CRN
-    simulated: int = 0
     _setups: list[Setup] = field(init=False)
     _readers: list[RowReader] = field(init=False)
     _values: dict = field(init=False, default_factory=dict)
     _flows: dict = field(init=False, default_factory=dict)
-    _flow_bytes: int = field(init=False, default=0)
+    _count: dict[str, int] = field(init=False)
 
     def __post_init__(self):
+        self._count = {"simulated": 0, "flow_bytes": 0}
         self._setups = [self._setup(case, ()) for case in self.cases]
         self._readers = [
             RowReader(setup, case.rows)
@@ -167,6 +168,11 @@ class Model:
     # -- points ------------------------------------------------------------------------------
 
     @property
+    def simulated(self) -> int:
+        """Replicates of cases that were simulated so far."""
+        return self._count["simulated"]
+
+    @property
     def start(self) -> Point:
         """The model as declared."""
         return Point(tuple(c.start for c in self.coordinates))
@@ -174,7 +180,7 @@ class Model:
     @property
     def prior_sd(self) -> np.ndarray:
         """Sd (coordinate) of the weak priors about the declared values."""
-        return np.array([PRIOR * c.size for c in self.coordinates])
+        return np.array([PRIOR_SD.get(c.name, 1.0) for c in self.coordinates])
 
     def _coordinates(self):
         for shared in self.shared:
@@ -258,7 +264,7 @@ class Model:
                 key, job = self._job(case, point, flow_at)
                 if key not in self._values:
                     wanted[key] = job
-        self.simulated += self.crn * len(wanted)
+        self._count["simulated"] += self.crn * len(wanted)
         results = self._run([(*job, range(self.crn)) for job in wanted.values()])
         for key, values in zip(wanted, results, strict=True):
             self._values[key] = values
@@ -304,13 +310,14 @@ class Model:
         """
         count = count or sum(self.counts(case))
         key, (_, parameters, ground, _) = self._job(case, point, None)
-        if count == self.crn:
+        known = self._values.get(("scatter", key))
+        if known is not None:
+            known = known[:count]
+        elif count == self.crn:
             self.prepare([(point, None)])
             known = self._values[key]
-        else:
-            known = self._values.get(("scatter", key))
         if known is None:
-            self.simulated += count
+            self._count["simulated"] += count
             here = (case, parameters, ground, (parameters, ground))
             starts = range(0, count, CHUNK)
             parts = self._run([(*here, range(a, min(a + CHUNK, count))) for a in starts])
@@ -318,6 +325,17 @@ class Model:
         sensors = tuple(a for a in self.at(point, case)[1] if _is_sensor(a))
         rows = self._readers[case].sensed(known, replace(self._setups[case], effects=sensors))
         return np.where(self.is_log[self.slices[case]], np.log(_floored(rows)), rows)
+
+    def kept(self, point: Point, case: int) -> np.ndarray:
+        """What `scatter` keeps of its replicates, (replicate, value), for `recall`."""
+        self.scatter(point, case)
+        return self._values["scatter", self._job(case, point, None)[0]]
+
+    def recall(self, point: Point, case: int, values: np.ndarray) -> None:
+        """Take `values` of an earlier run for what `scatter` would simulate at a point."""
+        key = self._job(case, point, None)[0]
+        self._values["scatter", key] = values
+        self._values[key] = values[: self.crn]
 
     def scatter_mean(self, point: Point, case: int) -> np.ndarray:
         """Expected rows (row) of a case over all replicates of `scatter`."""
@@ -375,9 +393,9 @@ class Model:
         if record is None:
             setup = self._with_effects(case, self._setups[case], at[1])
             record = record_flow(setup, at[0], *self.streams(case, replicate))
-            if self._flow_bytes + record.nbytes <= FLOW_BYTES:
+            if self._count["flow_bytes"] + record.nbytes <= FLOW_BYTES:
                 self._flows[key] = record
-                self._flow_bytes += record.nbytes
+                self._count["flow_bytes"] += record.nbytes
         return record
 
     def setup_at(self, point: Point, case: int) -> tuple[Setup, Parameters, tuple]:

@@ -16,7 +16,7 @@ from pipeline.loop.fit import Fit, calibrated, fit
 from pipeline.loop.gate import Gate, Projected, lack_of_fit, projected
 from pipeline.loop.hypotheses import Hypothesis, catalogue, rules, terms_of
 from pipeline.loop.local_rules import rule_slopes
-from pipeline.loop.model import Model
+from pipeline.loop.model import Model, Point, Term
 from pipeline.montecarlo.streams import LOOP_NULL, random_stream
 
 log = logging.getLogger(__name__)
@@ -47,14 +47,21 @@ class Round:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the loop did: its rounds, the added hypotheses and the final model."""
+    """What the loop did: its rounds, and the hypotheses that it added, with their names' posterior.
+
+    `dropped` are labels of those that the backward check took out again.
+    """
 
     rounds: tuple[Round, ...]
     added: tuple[Evidence, ...]
+    sure: tuple[float, ...]
     dropped: tuple[str, ...]
-    fit: Fit
-    noise: Noise
     verdict: str
+
+    @property
+    def fit(self) -> Fit:
+        """The final model."""
+        return self.rounds[-1].fit
 
     @property
     def baseline(self) -> Fit:
@@ -62,30 +69,31 @@ class Outcome:
         return self.rounds[0].fit
 
 
-def close(study: Study, model: Model, data: Data, most: int | None = None) -> Outcome:
-    """Run the loop on `data`; at most `most` (the study's `max_effects`) effects are added."""
-    most = study.max_effects if most is None else most
+def close(
+    study: Study, model: Model, data: Data, begin: tuple[Fit, Noise] | None = None
+) -> Outcome:
+    """Run the loop on `data`, from a calibrated baseline where there is one already."""
     model = model.only(data.use)
-    point = model.start
     rounds: list[Round] = []
     added: list[Evidence] = []
-    dropped: list[str] = []
-    found, here = calibrated(model, data, point)
+    sure: list[float] = []
+    found, here = begin or calibrated(model, data, model.start)
     while True:
         alpha = study.alpha * 0.5 ** len(rounds)
         one = turn(study, model, data, found, here, alpha, len(rounds))
         rounds.append(one)
         _log(study, one)
-        named = one.attribution.best if one.attribution else None
-        sure = one.attribution and one.attribution.by_name[named.hypothesis.name] >= SURE
-        if not one.gate.rejected or not sure or len(added) >= most:
+        if one.attribution is None or len(added) >= study.max_effects:
+            break
+        named = one.attribution.best
+        probability = one.attribution.by_name[named.hypothesis.name]
+        if probability < SURE:
             break
         added.append(named)
-        start = named.refit.point
-        found, here = calibrated(model, data, start, one.noise.factors)
-    verdict = _verdict(rounds[-1], added, most)
-    last = rounds[-1]
-    return Outcome(tuple(rounds), tuple(added), tuple(dropped), last.fit, last.noise, verdict)
+        sure.append(probability)
+        found, here = calibrated(model, data, named.refit.point, one.noise.factors)
+    verdict = _verdict(rounds[-1], added)
+    return Outcome(tuple(rounds), tuple(added), tuple(sure), (), verdict)
 
 
 def turn(
@@ -103,7 +111,7 @@ def turn(
     by_effect = [h for h in hypotheses if h.kind != "rule"]
     by_rule = [h for h in hypotheses if h.kind == "rule"]
     terms = terms_of(by_effect)
-    _, slopes = model.jacobian(found.point, terms)
+    slopes = _slopes(model, found.point, terms)
     if by_rule:
         slopes = np.hstack([slopes, rule_slopes(model, found.point, by_rule)])
         terms = [*terms, *terms_of(by_rule)]
@@ -122,7 +130,22 @@ def turn(
     return Round(found, noise, tuple(hypotheses), seen, gate, found_out, freedom)
 
 
-def _verdict(last: Round, added: Sequence[Evidence], most: int) -> str:
+def _slopes(model: Model, point: Point, terms: Sequence[Term]) -> np.ndarray:
+    """Derivatives (row, term); a value that keys share moves what they move together."""
+    keys: dict[tuple[str, str], list[Term]] = {}
+    for term in terms:
+        if term.key is not None:
+            keys.setdefault((term.effect, term.parameter), []).append(term)
+    single = [t for t in terms if t.key is not None or (t.effect, t.parameter) not in keys]
+    _, slopes = model.jacobian(point, single)
+    column = dict(zip(single, slopes.T, strict=True))
+    for term in terms:
+        if term not in column:
+            column[term] = sum(column[t] for t in keys[term.effect, term.parameter])
+    return np.column_stack([column[t] for t in terms]) if terms else slopes
+
+
+def _verdict(last: Round, added: Sequence[Evidence]) -> str:
     if added:
         only_rules = all(e.hypothesis.kind == "rule" for e in added)
         return "unknown_effect" if only_rules else "effect"

@@ -7,7 +7,16 @@ import hashlib
 import numpy as np
 
 # What a stream is for; a new purpose takes a new number, and none is ever changed.
-PACKING, FLOW, CALIBRATION_PACKING, CALIBRATION_FLOW, LOOP_PACKING, LOOP_FLOW, LOOP_NULL = range(7)
+(
+    PACKING,
+    FLOW,
+    CALIBRATION_PACKING,
+    CALIBRATION_FLOW,
+    LOOP_PACKING,
+    LOOP_FLOW,
+    LOOP_NULL,
+    LOOP_BOOTSTRAP,
+) = range(8)
 
 
 def random_stream(seed: int, experiment: str, purpose: int, replicate: int) -> np.random.Generator:
