@@ -246,7 +246,7 @@ def _load_each(
     return loaded, found
 
 
-def _sources(experiment: Experiment, experiments: Mapping[str, Experiment]) -> list[Experiment]:
+def sources(experiment: Experiment, experiments: Mapping[str, Experiment]) -> list[Experiment]:
     """The experiment and those its stress comes from, nearest first; stops where one recurs."""
     chain = [experiment]
     while chain[-1].stress.from_ in experiments:
@@ -264,7 +264,7 @@ def _broken_references(
         start = experiment.stress.from_
         if start is None:
             continue
-        chain = _sources(experiment, experiments)
+        chain = sources(experiment, experiments)
         where = f"stress.from = {start}: "
         if start not in names:
             others = sorted(set(names) - {experiment.name})
@@ -315,7 +315,7 @@ def _hold_out_problems(
     held_out = study.experiments if study.hold_out == "leave_one_out" else study.hold_out
     if isinstance(held_out, tuple):
         for name, experiment in known.items():
-            chain = [source.name for source in _sources(experiment, experiments)]
+            chain = [source.name for source in sources(experiment, experiments)]
             if set(chain[1:]) & set(held_out):
                 yield (
                     f"hold_out: {name} takes its stress from {chain[1]}, which would carry "

@@ -19,6 +19,7 @@ import yaml
 from pipeline import __version__
 from pipeline.config.experiment import Experiment
 from pipeline.config.load import digest, resolved
+from pipeline.config.study import Study
 from pipeline.files.atomic import whole_file
 
 FORMAT_VERSION = "1.0"
@@ -89,7 +90,7 @@ def describe(name: str, statistics: bool = False) -> dict[str, Any]:
 def write_dataset(
     path: str | Path,
     dataset: xr.Dataset,
-    experiment: Experiment,
+    settings: Experiment | Study,
     rule: str,
     title: str,
     inputs: Iterable[str | Path] = (),
@@ -115,7 +116,7 @@ def write_dataset(
         entry = describe(str(name), statistics)
         dataset[name].attrs = _attributes(str(name), entry, dataset)
         encoding[name] = _encoding(str(name), entry, dataset[name])
-    dataset.attrs = _provenance(experiment, rule, title, inputs) | dict(attributes or {})
+    dataset.attrs = _provenance(settings, rule, title, inputs) | dict(attributes or {})
     with whole_file(path) as partial:
         dataset.to_netcdf(
             partial, engine="netcdf4", format="NETCDF4", encoding=encoding, unlimited_dims=()
@@ -161,7 +162,7 @@ def _encoding(name: str, entry: dict[str, Any], variable: xr.DataArray) -> dict[
 
 
 def _provenance(
-    experiment: Experiment, rule: str, title: str, inputs: Iterable[str | Path]
+    settings: Experiment | Study, rule: str, title: str, inputs: Iterable[str | Path]
 ) -> dict[str, Any]:
     history = []
     for path in inputs:
@@ -175,18 +176,26 @@ def _provenance(
     history.append(f"{now} {rule}: pipeline {__version__}")
     return {
         "Conventions": "CF-1.11",
-        "title": f"{title}: {experiment.title}",
+        "title": f"{title}: {settings.title}",
         "source": f"pipeline {__version__}, Python {platform.python_version()}",
         "history": "\n".join(history),
         "references": REFERENCES,
-        "experiment": experiment.name,
-        "data_label": experiment.data_label,
-        "config": json.dumps(resolved(experiment), ensure_ascii=False),
-        "config_sha256": digest(experiment),
+        **_identity(settings),
+        "config": json.dumps(resolved(settings), ensure_ascii=False),
+        "config_sha256": digest(settings),
         "git_revision": git_revision(),
-        "root_seed": str(experiment.seed),
         "random_generator": "numpy PCG64, SeedSequence(seed, (experiment, purpose, replicate))",
         "format_version": FORMAT_VERSION,
+    }
+
+
+def _identity(settings: Experiment | Study) -> dict[str, str]:
+    if isinstance(settings, Study):
+        return {"study": settings.name}
+    return {
+        "experiment": settings.name,
+        "data_label": settings.data_label,
+        "root_seed": str(settings.seed),
     }
 
 

@@ -248,15 +248,16 @@ def residual_dataset(
             "load_cell": text([row.load_cell or "" for row in rows]),
             "quantity": text([row.quantity for row in rows]),
             "unit": text([QUANTITIES[row.quantity] for row in rows]),
-            "fill_height": ("reading", _numbers(rows, "fill_height")),
-            "mass_drawn": ("reading", _numbers(rows, "mass_drawn")),
+            "fill_height": ("reading", _fill_heights(model, use, rows)),
+            "mass_drawn": ("reading", np.array([row.mass_drawn or 0.0 for row in rows])),
         },
         coords={"reading": ("reading", np.asarray(use, dtype=np.int32))},
     )
 
 
-def _numbers(rows: Sequence[MeasuredRow], name: str) -> np.ndarray:
-    return np.array([math.nan if getattr(r, name) is None else getattr(r, name) for r in rows])
+def _fill_heights(model: Model, use: np.ndarray, rows: Sequence[MeasuredRow]) -> np.ndarray:
+    full = [model.cases[model.case_of[i]].experiment.geometry.height for i in use]
+    return np.array([r.fill_height or height for r, height in zip(rows, full, strict=True)])
 
 
 def _finite(value: float) -> float | None:

@@ -10,13 +10,13 @@ from pipeline.loop.covariance import Noise, noise
 from pipeline.loop.data import Data
 from pipeline.loop.model import Model, Point, limits
 
-MOST_STEPS = 40
+MOST_STEPS = 80
 FIRST_DAMPING, MOST_DAMPING = 1.0, 1e3  # in units of an unknown's usual change
-CLOSE = 3e-4  # drop of χ² that a step must promise
+CLOSE = 3e-5  # drop of χ² that a step must promise
 FAR = 0.3  # of an unknown's scale: from there on the slopes of another point do not serve
 MOVED = 0.35  # likewise for the covariance
 REFRESHES = 2  # times that the covariance follows the fit
-AMPLITUDE_PRIOR = 30.0  # sd of an amplitude's prior in a fit, in its scale: too wide to shrink it
+AMPLITUDE_PRIOR = 100.0  # sd of an amplitude's prior in a fit, in its scale: too wide to shrink it
 
 
 @dataclass(frozen=True)

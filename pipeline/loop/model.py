@@ -33,7 +33,7 @@ LEAST = 0.01  # of the largest replicate: a simulated stress below it is taken f
 FLOW_BYTES = 600_000_000  # that kept flows may take together
 CHUNK = 16  # replicates of a task
 # of a calibrated coordinate: sd of the weak prior about its declared value, and a usual change
-PRIOR_SD = {"E": 20.0, "s.std": 1.0, "s.mean": 4.0, "R": 0.6, "E_min": 2.0}
+PRIOR_SD = {"E": 100.0, "s.std": 1.0, "s.mean": 4.0, "R": 0.6, "E_min": 2.0}
 SIZE = {"s.std": 0.5, "s.mean": 2.0, "R": 0.3, "exponent": 0.5}
 STEP, FLOW_STEP = 0.02, 0.25  # of differences, in a coordinate's scale
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from pipeline.config.experiment import Experiment
-from pipeline.config.load import check_measured
+from pipeline.config.load import check_measured, load_experiment
 from pipeline.config.measured import MeasuredRow, read_measured
 from pipeline.config.study import HeldOutLoadCells, HeldOutTail, Study
 from pipeline.loop.data import Data, observed
@@ -43,6 +44,14 @@ class Problem:
     def leaves_one_out(self) -> bool:
         """Whether every experiment is held out in turn."""
         return self.study.hold_out == "leave_one_out"
+
+
+def load_problem(
+    study: Study, files: Sequence[str | Path], workers: int = 1
+) -> tuple[Problem, dict[str, Experiment]]:
+    """The problem of a study, and its experiments from their files by name."""
+    experiments = {Path(file).stem: load_experiment(Path(file)) for file in files}
+    return make_problem(study, experiments, Execution(workers)), experiments
 
 
 def measured_rows(study: Study, experiments: Mapping[str, Experiment]) -> list[MeasuredRow]:

@@ -94,6 +94,7 @@ def attribution(problem: Problem, start: xr.Dataset) -> tuple[dict[str, Any], li
     outcome = close(study, model, data, resumed(problem, start))
     first, last = outcome.rounds[0], outcome.rounds[-1]
     before, after = (standard_deviations(model, data, one) for one in (first, last))
+    additions = next_measurements(model.only(data.use), data, last, last.gate.threshold)
     document = {
         "study": study.name,
         "schema_version": SCHEMA_VERSION,
@@ -110,9 +111,7 @@ def attribution(problem: Problem, start: xr.Dataset) -> tuple[dict[str, Any], li
             "after": parameters_document(model, last.fit, after),
         },
         "untestable_parameters": _untestable(model, data, first.fit),
-        "next_measurement": next_measurements(
-            model.only(data.use), data, last, last.gate.threshold
-        ),
+        "next_measurement": additions,
         "noise": _noise(problem, outcome),
         "degrees_of_freedom": {
             "readings": len(data.use),

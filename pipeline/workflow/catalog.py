@@ -8,15 +8,19 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
-from pipeline.config.load import check_measured, digest, load_experiments
+from pipeline.config.load import check_measured, digest, load_experiments, load_studies, sources
 
 PACKAGE = Path(__file__).parents[1]
 CODE = (".py", ".pyc", ".smk")
+OWN = {"experiments_dir": "workflow_configs/experiments", "studies_dir": "workflow_configs/studies"}
 SMALL_RUN = 2e7  # cell sweeps that one thread does in a moment
 
 
 class Catalog:
-    """The experiments of a workflow run, read and checked once.
+    """The experiments and studies of a workflow run, read and checked once.
+
+    With experiments from another folder there are no studies but those of a folder named with it.
+    With studies from another folder alone, the experiments are those that the studies name.
 
     Raises
     ------
@@ -26,7 +30,16 @@ class Catalog:
 
     def __init__(self, config: Mapping[str, object]):
         self.results = str(config["results_dir"]).rstrip("/")
-        self.experiments = load_experiments(Path(str(config["experiments_dir"])))
+        own = {key: str(config[key]).rstrip("/") == folder for key, folder in OWN.items()}
+        self._known = load_experiments(Path(str(config["experiments_dir"])))
+        self.experiments, self.studies = self._known, {}
+        if own["studies_dir"] and not own["experiments_dir"]:
+            return
+        self.studies = load_studies(Path(str(config["studies_dir"])), self._known)
+        if not own["studies_dir"] and own["experiments_dir"]:
+            named = {name for study in self.studies.values() for name in study.experiments}
+            named |= {one.name for name in named for one in sources(self._known[name], self._known)}
+            self.experiments = {n: e for n, e in self._known.items() if n in named}
 
     def file(self, name: str) -> str:
         """Path of the experiment's file."""
@@ -48,6 +61,27 @@ class Catalog:
         """`calibration.json` of the experiment that `stress: {from: NAME}` refers to, if any."""
         source = self.experiments[name].stress.from_
         return [f"{self.results}/experiments/{source}/calibration.json"] if source else []
+
+    def study_file(self, name: str) -> str:
+        """Path of the study's file."""
+        return str(self.studies[name].path)
+
+    def study_experiments(self, name: str) -> list[str]:
+        """Files of its experiments and of those whose stress they take."""
+        return [self.file(one) for one in self._chain(name)]
+
+    def study_settings(self, name: str) -> str:
+        """Digest of what the study's files say: its own, its table's and its experiments'."""
+        study = self.studies[name]
+        parts = [digest(study), *(self.settings(one) for one in self._chain(name))]
+        if study.data_path is not None:
+            parts.append(hashlib.sha256(study.data_path.read_bytes()).hexdigest())
+        return _sha256("".join(parts))
+
+    def _chain(self, name: str) -> list[str]:
+        named = self.studies[name].experiments
+        chains = (sources(self.experiments[one], self.experiments) for one in named)
+        return list(dict.fromkeys(one.name for chain in chains for one in chain))
 
     def threads(self, name: str, cores: int) -> int:
         """One thread for a small experiment, all cores for a large one."""

@@ -16,3 +16,4 @@ pathvars:
 
 wildcard_constraints:
     experiment="|".join(CATALOG.experiments),
+    study="|".join(CATALOG.studies) or "there is no study",

@@ -10,6 +10,8 @@ rule index:
             rules.validate.output.validation, experiment=CATALOG.experiments
         ),
         reports=expand(rules.report.output.report, experiment=CATALOG.experiments),
+        studies=expand(rules.close_loop.output.closed_loop, study=CATALOG.studies),
+        study_reports=expand(rules.study_report.output.report, study=CATALOG.studies),
         flow_law=rules.flow_law.output.figure,
     output:
         index="<results>/index.html",
