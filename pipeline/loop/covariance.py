@@ -70,7 +70,7 @@ def noise(model: Model, point: Point, data: Data, rough: bool = False) -> Noise:
     scatter = np.zeros((size, size))
     residuals = []
     for case, where in enumerate(model.slices):
-        half, others = (model.crn, 0) if rough else model.counts(case)
+        half, others = (model.common(case), 0) if rough else model.counts(case)
         places = np.flatnonzero((data.use >= where.start) & (data.use < where.stop))
         if not len(places):
             continue

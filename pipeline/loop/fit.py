@@ -12,7 +12,7 @@ from pipeline.loop.model import Model, Point, limits
 
 MOST_STEPS = 80
 FIRST_DAMPING, MOST_DAMPING = 1.0, 1e3  # in units of an unknown's usual change
-CLOSE = 3e-5  # drop of χ² that a step must promise
+CLOSE, ROUGHLY = 3e-5, 0.01  # drop of χ² that a step must promise
 FAR = 0.3  # of an unknown's scale: from there on the slopes of another point do not serve
 MOVED = 0.35  # likewise for the covariance
 REFRESHES = 2  # times that the covariance follows the fit
@@ -48,7 +48,7 @@ def calibrated(
 ) -> tuple[Fit, Noise]:
     """Fit from `start`, then again with the covariance of what was found, until it stays."""
     rough = noise(model, start, data, rough=True).scaled(factors)
-    found = fit(model, data, rough, start)
+    found = fit(model, data, rough, start, close=ROUGHLY)
     for _ in range(REFRESHES):
         reference = found.point
         here = noise(model, reference, data).scaled(factors)
@@ -65,12 +65,14 @@ def fit(
     start: Point,
     reference: Point | None = None,
     slopes: np.ndarray | None = None,
+    close: float = CLOSE,
 ) -> Fit:
     """Levenberg and Marquardt's least squares on common random numbers, bounds kept.
 
     The mean of the few common replicates is corrected by what the many say at `reference`; the
     flow stays that of `reference`, but for parameters of the flow itself. `slopes` are
-    derivatives at or near `start`; they are taken as long as they serve.
+    derivatives at or near `start`; they are taken as long as they serve. It ends when a step
+    promises less than `close` of χ².
     """
     offset = np.zeros(len(model.rows)) if reference is None else offset_at(model, reference)
     flow_at = None if _fits_flow(model) else reference or start
@@ -93,7 +95,7 @@ def fit(
         far = _is_far(model, _at(start, x), sloped, FAR)
         free = _step(whole, misfit, x, low, high, 0.0 * size)
         left = cost - float(np.sum((misfit - whole @ free) ** 2))
-        if (left < CLOSE and not far) or damping > MOST_DAMPING:
+        if (left < close and not far) or damping > MOST_DAMPING:
             break
         step = _step(whole, misfit, x, low, high, damping / size)
         promised = cost - float(np.sum((misfit - whole @ step) ** 2))

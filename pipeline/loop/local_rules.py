@@ -27,7 +27,7 @@ def rule_slopes(model: Model, point: Point, rules: Sequence[Hypothesis]) -> np.n
     columns = [
         channels.index(w["channel"]) * len(features) + features.index(w["feature"]) for w in wanted
     ]
-    jobs = [(case, k) for case in model.active for k in range(REPLICATES)]
+    jobs = [(c, k) for c in model.active for k in range(min(REPLICATES, model.common(c)))]
     parts = run_tasks([partial(_gradients, model, point, *job) for job in jobs], model.execution)
     whole = np.full((len(model.rows), len(channels) * len(features)), np.nan)
     for case in model.active:

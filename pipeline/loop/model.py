@@ -26,11 +26,13 @@ from pipeline.observe import GEOMETRY, RowReader, only_measured
 from pipeline.parameters import Parameters, carry_transmission, declared_parameters
 from pipeline.simulate import FlowRecord, Setup, make_setup, record_flow, simulate
 
-CRN = 6  # common random replicates of every evaluation
+CRN, FEW = 6, 2  # common random replicates of an evaluation; where packings do not differ
 SCATTER, OTHERS = 90, 54  # replicates that the covariance is made of, and others for null laws
 CLEAR = 4.0  # a derivative's square over that of its error, from which it is one
+SAME = 1e-9  # relative difference within which packings do not differ
 LEAST = 0.01  # of the largest replicate: a simulated stress below it is taken for it
 FLOW_BYTES = 600_000_000  # that kept flows may take together
+MOST_POINTS = 20_000  # whose parameters are remembered
 CHUNK = 16  # replicates of a task
 # of a calibrated coordinate: sd of the weak prior about its declared value, and a usual change
 PRIOR_SD = {"E": 100.0, "s.std": 1.0, "s.mean": 4.0, "R": 0.6, "E_min": 2.0}
@@ -135,11 +137,11 @@ class Model:
     cases: tuple[Case, ...]
     shared: tuple[Shared, ...]
     execution: Execution = field(default_factory=Execution)
-    crn: int = CRN
     _setups: list[Setup] = field(init=False)
     _readers: list[RowReader] = field(init=False)
     _values: dict = field(init=False, default_factory=dict)
     _flows: dict = field(init=False, default_factory=dict)
+    _at: dict = field(init=False, default_factory=dict)
     _count: dict[str, int] = field(init=False)
 
     def __post_init__(self):
@@ -158,6 +160,27 @@ class Model:
         self._share = np.array([1.0 / row.count if row.count else 0.0 for row in self.rows])
         self.coordinates = tuple(self._coordinates())
         self.active = tuple(range(len(self.cases)))
+        self._crn = [self._common(case) for case in self.active]
+
+    def __getstate__(self) -> dict:
+        """Without what it remembers: another process simulates for itself."""
+        return self.__dict__ | {"_values": {}, "_flows": {}, "_at": {}}
+
+    def _common(self, case: int) -> int:
+        """Common replicates of a case: few where the means over its base are all alike."""
+        rows, setup = self.cases[case].rows, self._setups[case]
+        if setup.masses or any(r.load_cell or r.quantity != "vertical_stress" for r in rows):
+            return CRN
+        ground = declared_effects(self.cases[case].experiment)
+        values = self._simulate(case, self.cases[case].declared, ground, (None, ()), range(3))
+        rows = self._readers[case].sensed(values, replace(setup, effects=()))
+        return FEW if np.ptp(rows, axis=0).max() <= SAME * rows.max() else CRN
+
+    def alone(self) -> Model:
+        """The same model for a process of its own, without workers."""
+        view = copy(self)
+        view.execution = Execution()
+        return view
 
     def only(self, rows: Sequence[int]) -> Model:
         """The same model, which simulates nothing but the cases of some rows: others are NaN."""
@@ -211,6 +234,14 @@ class Model:
 
     def at(self, point: Point, case: int) -> tuple[Parameters, tuple[Active, ...]]:
         """Parameters and effects of a case at a point."""
+        known = self._at.get((id(point), case))
+        if known is None or known[0] is not point:
+            if len(self._at) > MOST_POINTS:
+                self._at.clear()
+            known = self._at[id(point), case] = point, self._found_at(point, case)
+        return known[1]
+
+    def _found_at(self, point: Point, case: int) -> tuple[Parameters, tuple[Active, ...]]:
         subject = self.cases[case]
         values = {}
         for coordinate, u in zip(self.coordinates, point.coordinates, strict=True):
@@ -263,9 +294,9 @@ class Model:
             for case in self.active:
                 key, job = self._job(case, point, flow_at)
                 if key not in self._values:
-                    wanted[key] = job
-        self._count["simulated"] += self.crn * len(wanted)
-        results = self._run([(*job, range(self.crn)) for job in wanted.values()])
+                    wanted[key] = *job, range(self._crn[case])
+        self._count["simulated"] += sum(len(job[-1]) for job in wanted.values())
+        results = self._run(list(wanted.values()))
         for key, values in zip(wanted, results, strict=True):
             self._values[key] = values
 
@@ -298,10 +329,14 @@ class Model:
         moved = expected[first] - kept[first]
         return kept + np.where(np.array(same) | (first < 0), 0.0, moved)
 
+    def common(self, case: int) -> int:
+        """Number of common random replicates of a case."""
+        return self._crn[case]
+
     def counts(self, case: int) -> tuple[int, int]:
         """Replicates of `scatter` for the covariance and others; few without any scatter."""
         of_packings = any(row.count for row in self.cases[case].rows)
-        return (SCATTER, OTHERS) if of_packings else (self.crn, self.crn)
+        return (SCATTER, OTHERS) if of_packings else (self._crn[case], self._crn[case])
 
     def scatter(self, point: Point, case: int, count: int | None = None) -> np.ndarray:
         """Rows (replicate, row) of many replicates, see `counts`; the first are the common ones.
@@ -313,7 +348,7 @@ class Model:
         known = self._values.get(("scatter", key))
         if known is not None:
             known = known[:count]
-        elif count == self.crn:
+        elif count == self._crn[case]:
             self.prepare([(point, None)])
             known = self._values[key]
         if known is None:
@@ -335,7 +370,7 @@ class Model:
         """Take `values` of an earlier run for what `scatter` would simulate at a point."""
         key = self._job(case, point, None)[0]
         self._values["scatter", key] = values
-        self._values[key] = values[: self.crn]
+        self._values[key] = values[: self._crn[case]]
 
     def scatter_mean(self, point: Point, case: int) -> np.ndarray:
         """Expected rows (row) of a case over all replicates of `scatter`."""

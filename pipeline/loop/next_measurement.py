@@ -209,5 +209,5 @@ def _of_one_case(model: Model, case: int, extended: Case, point: Point, terms):
         of_terms[:, wanted.index(t)] if t in wanted else np.zeros(len(alone.rows))
         for t in (*point.terms, *terms)
     ]
-    scatter = alone.scatter(start, 0, alone.crn).var(axis=0, ddof=1)
+    scatter = alone.scatter(start, 0, alone.common(0)).var(axis=0, ddof=1)
     return np.column_stack(columns), scatter

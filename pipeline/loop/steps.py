@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -175,8 +176,12 @@ def closed(
         name: errors(model, measured, data.use, expected[data.use])
         for name, expected in views.items()
     }
-    tasks = [partial(_fold, problem, fold, start, points) for fold in problem.folds]
-    folds = run_tasks(tasks, model.execution)
+    if problem.leaves_one_out:
+        alone = replace(problem, model=model.alone())
+        tasks = [partial(_fold, alone, fold, start, points) for fold in problem.folds]
+        folds = run_tasks(tasks, model.execution, processes=True)
+    else:
+        folds = [_fold(problem, fold, start, points) for fold in problem.folds]
     rows = [i for fold in folds for i in fold["rows"]]
     pooled = {
         name: np.concatenate([np.asarray(fold["expected"][name]) for fold in folds])

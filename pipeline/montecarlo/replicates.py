@@ -145,15 +145,22 @@ def replicates_dataset(
     return xr.Dataset(data, coords=coords)
 
 
-def run_tasks(tasks: Sequence[Callable[[], Any]], execution: Execution) -> list[Any]:
+def run_tasks(
+    tasks: Sequence[Callable[[], Any]], execution: Execution, processes: bool = False
+) -> list[Any]:
     """Results of tasks without arguments, in order: here with one worker, else through Dask.
 
     Without arguments, because Dask would look through every one of them for its own collections.
+    `processes` is for tasks of many seconds that are more Python than kernel.
     """
     if execution.workers == 1 and not execution.scheduler:
         return [task() for task in tasks]
+    delayed = [dask.delayed(task, pure=False)() for task in tasks]
+    if processes and not execution.scheduler:
+        workers = min(execution.workers, len(tasks))
+        return list(dask.compute(*delayed, scheduler="processes", num_workers=workers))
     with dask_session(execution):
-        return list(dask.compute(*(dask.delayed(task, pure=False)() for task in tasks)))
+        return list(dask.compute(*delayed))
 
 
 @contextmanager
