@@ -14,7 +14,8 @@ from pipeline.effects.local_rule import EFFECT as LOCAL_RULE
 from pipeline.loop.model import Model, Term
 
 PRIOR = {"none": 0.2, "physics": 0.3, "input": 0.07, "sensor": 0.08, "rule": 0.05}
-TOGETHER = 0.5  # of a physical effect's prior for all its keys at once, where there are several
+# part of an effect's prior for all its keys at once, where there are several
+TOGETHER = {"physics": 0.5, "input": 0.2, "sensor": 0.0}
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def _parts(parameters: Sequence[Parameter]) -> list[tuple[Parameter, ...]]:
 
 
 def _choices(name: str, kind: str, scope: str, groups: dict, parameters: Sequence[Parameter]):
-    """(key, terms, weight): each key alone and, for physics, all together.
+    """(key, terms, weight): each key alone and, but for sensors, all together.
 
     Together each material has its own value, while all experiments share one.
     """
@@ -95,16 +96,17 @@ def _choices(name: str, kind: str, scope: str, groups: dict, parameters: Sequenc
         tuple(Term(name, p.name, scope, key, tuple(cases)) for p in parameters)
         for key, cases in groups.items()
     ]
-    if len(single) < 2 or kind != "physics":
+    both = TOGETHER[kind]
+    if len(single) < 2 or not both:
         yield from ((k, t, 1.0 / len(single)) for k, t in zip(groups, single, strict=True))
         return
     for key, terms in zip(groups, single, strict=True):
-        yield key, terms, (1.0 - TOGETHER) / len(single)
+        yield key, terms, (1.0 - both) / len(single)
     together = tuple(term for terms in single for term in terms)
     if scope == "experiment":
         cases = tuple(sorted(case for members in groups.values() for case in members))
         together = tuple(Term(name, p.name, "study", None, cases) for p in parameters)
-    yield None, together, TOGETHER
+    yield None, together, both
 
 
 def terms_of(hypotheses: Sequence[Hypothesis]) -> list[Term]:
