@@ -14,7 +14,7 @@ from pipeline.config.study import Study
 from pipeline.effects import effects
 from pipeline.files.atomic import read_json, write_text
 from pipeline.report.figures import panel_style
-from pipeline.report.page import Badge, Data, Link, Table, parts, render
+from pipeline.report.page import Badge, Data, Link, Table, decimals_of, parts, render
 from pipeline.report.study_figures import (
     SURE,
     held_out_figure,
@@ -29,11 +29,11 @@ VERDICTS = {
     "unknown_effect": Badge("unknown effect", "warn"),
     "unexplained": Badge("unexplained", "bad"),
 }
-KINDS = {
-    "physics": "physics that the model lacked",
-    "input": "an input that was declared wrong",
-    "sensor": "a sensor at fault, which corrects the data and never the ground",
-    "rule": "a rule that no effect of the catalogue stands for",
+FINDINGS = {  # by the kind of an effect: before its name, and after it
+    "physics": ("The model lacks", ""),
+    "input": ("An input is not as declared:", ""),
+    "sensor": ("A sensor is at fault:", ", which corrects the data and never the ground"),
+    "rule": ("The model lacks what no effect of the catalogue stands for:", ""),
 }
 VARIANTS = {
     "before": "before: the calibrated baseline",
@@ -150,19 +150,20 @@ def verdict(found: Mapping[str, Any], data: Data) -> list[Markup]:
         ]
     sentences = []
     for entries in _added(found):
-        one = entries[0]
+        one, row = entries[0], f"round {entries[0]['round']}"
+        before, after = FINDINGS[one["kind"]]
         sentences.append(
             parts(
-                "The model lacks <strong>{}</strong>: {}. Without it the test gives {}; among all "
-                "that could be missing its probability is {} (one name is added from {} on).",
-                _title(one, found),
-                KINDS[one["kind"]],
+                "{} <strong>{}</strong>{}. Without it the test gives {}; among all that could be "
+                "missing its probability is {} (from {} on one name is added).",
+                before,
+                _title(entries, found),
+                after,
                 _evidence(found["gate"][one["round"] - 1], data),
-                data.number("verdict", f"round {one['round']}", "probability",
-                            one["probability"], 3),
+                data.number("verdict", row, "probability", one["probability"], 3),
                 data.number("verdict", "", "probability from which one name is added", SURE, 1),
             )
-        )  # fmt: skip
+        )
     if not last["rejected"]:
         sentences.append(parts("With it nothing more is detectable: {}.", _evidence(last, data)))
         return sentences
@@ -199,12 +200,14 @@ def _added(found: Mapping[str, Any]) -> Iterator[list[Mapping[str, Any]]]:
         yield list(entries)
 
 
-def _title(entry: Mapping[str, Any], found: Mapping[str, Any]) -> str:
-    """Name of an added effect, a rule in words."""
-    for rule in found["local_rules"] if entry["kind"] == "rule" else ():
-        if all(rule[name] == choice for name, choice in entry["options"].items()):
-            return f"something in the ground: {rule['words']}"
-    return entry["name"]
+def _title(entries: Sequence[Mapping[str, Any]], found: Mapping[str, Any]) -> str:
+    """Name of an added effect with what it belongs to; a rule in words."""
+    one = entries[0]
+    for rule in found["local_rules"] if one["kind"] == "rule" else ():
+        if all(rule[name] == choice for name, choice in one["options"].items()):
+            return rule["words"]
+    keys = ", ".join(entry["scope_key"] for entry in entries if entry["scope_key"])
+    return f"{one['name']} ({keys})" if keys else one["name"]
 
 
 def error_sentences(found: Mapping[str, Any], data: Data) -> list[Markup]:
@@ -244,7 +247,8 @@ def error_sentences(found: Mapping[str, Any], data: Data) -> list[Markup]:
 def label_of(entry: Mapping[str, Any]) -> str:
     """What tells a candidate from the others."""
     key = entry["scope_key"]
-    return entry.get("label") or entry["name"] + (f" [{key}]" if key is not None else "")
+    label = entry.get("label") or entry["name"] + (f" [{key}]" if key is not None else "")
+    return label if key is not None else f"{label} of {_scope(entry['scope'], key)}"
 
 
 def listed(labels: Iterable[str]) -> str:
@@ -265,7 +269,6 @@ def certificate_tables(found: Mapping[str, Any], data: Data) -> list[Table]:
     columns = [
         "Candidate",
         "Kind",
-        "One value for",
         "Surviving fraction",
         "Minimal detectable: amplitude",
         "Minimal detectable: unit",
@@ -285,7 +288,7 @@ def certificate_tables(found: Mapping[str, Any], data: Data) -> list[Table]:
     untestable = Table(
         "untestable",
         "Candidates that these readings cannot test, and why. They are neither found nor excluded.",
-        [columns[0], "Why", *columns[1:]],
+        ["Candidate", "Why", *columns[1:]],
         data,
     )
     for entry in found["candidates"]:
@@ -310,16 +313,15 @@ def _alike(entries: Iterable[Mapping[str, Any]]) -> list[list[Mapping[str, Any]]
 def _certificate_row(table: Table, entries: Sequence[Mapping[str, Any]]) -> list[Any]:
     one = entries[0]
     name = listed(dict.fromkeys(map(label_of, entries)))
-    scopes = dict.fromkeys(_scope(entry["scope"], entry["scope_key"]) for entry in entries)
+    detectable = one["minimal_detectable"]
     return [
         name,
         one["kind"],
-        ", ".join(scopes),
-        table.number(name, "surviving fraction", one["surviving_fraction"]),
-        table.number(name, "minimal detectable", one["minimal_detectable"], unit=one["unit"]),
-        "" if one["minimal_detectable"] is None else _unit(one["unit"]),
+        table.number(name, "surviving fraction", one["surviving_fraction"], 3),
+        table.number(name, "minimal detectable amplitude", detectable, unit=one["unit"]),
+        "" if detectable is None else _unit(one["unit"]),
         one["nearest_mimic"] or "",
-        table.number(name, "distance to the nearest mimic", one["mimic_distance"], unit="sd"),
+        table.number(name, "distance to the nearest mimic", one["mimic_distance"], 2, "sd"),
         _look_alikes(table, name, one["alike"]),
     ]
 
@@ -383,7 +385,7 @@ def gate_table(found: Mapping[str, Any], data: Data) -> Table:
                 gate["largest"],
                 cell("largest score", gate["statistic"], 2),
                 cell("threshold", gate["threshold"], 2),
-                cell("sum of squares", gate["sum_of_squares"]),
+                cell("sum of squares", gate["sum_of_squares"], decimals_of(gate["sum_of_squares"])),
                 cell("p of the sum of squares", gate["sum_of_squares_p_value"]),
                 cell("p", gate["p_value"]),
                 cell("alpha", gate["alpha"]),
@@ -566,8 +568,7 @@ def added_effects(found: Mapping[str, Any], data: Data) -> list[dict[str, Any]]:
         added.append(
             {
                 "name": one["name"],
-                "title": _title(one, found),
-                "kind": KINDS[one["kind"]],
+                "title": _title(entries, found),
                 "scope": _scope(one["scope"], None),
                 "options": ", ".join(f"{key}: {choice}" for key, choice in one["options"].items()),
                 "round": data.number("added", one["name"], "round", one["round"]),
@@ -688,11 +689,7 @@ def fold_table(found: Mapping[str, Any], data: Data) -> Table:
             "Verdict without it",
             "Added without it",
             "Values",
-            *(
-                f"{MEASURES[key].capitalize()}: {when}"
-                for key in keys
-                for when in ("before", "after")
-            ),
+            *(f"{MEASURES[key]}: {when}" for key in keys for when in ("before", "after")),
             "Not predictable",
         ],
         data,
@@ -797,7 +794,7 @@ def mimic_table(found: Mapping[str, Any], data: Data) -> Table | None:
             [
                 name,
                 entry["nearest_mimic"],
-                table.number(name, "distance", entry["mimic_distance"], unit="sd"),
+                table.number(name, "distance", entry["mimic_distance"], 2, "sd"),
                 _look_alikes(table, name, entry["alike"]),
             ]
         )

@@ -10,14 +10,14 @@ import numpy as np
 import xarray as xr
 
 from pipeline.report.figures import BLUE, GREEN, INK, MARKERS, MUTED, ORANGE, PURPLE, Panel
-from pipeline.report.page import Data, Figure, parts
+from pipeline.report.page import Data, Figure, decimals_of, parts
 from pipeline.report.results import THRESHOLD_SD, quantity_words
 
 NAMES_WIDTH = 2.2  # of names beside rows, inches
 WIDE = 15.0  # standard deviations from which their axis turns logarithmic
 WIDE_RATIO = 20.0  # of the largest to the smallest value, likewise
 SURE = 0.9  # posterior from which one name is added
-STANDARD = "measured less model (sd)"
+STANDARD = "data less model (sd)"
 GROUPS = {  # variable of residual.nc: what its values are
     "experiment": "experiment",
     "load_cell": "load cell",
@@ -80,14 +80,12 @@ def standardized_figure(residual: xr.Dataset, label: str, data: Data) -> Figure 
     if not panels:
         return None
     caption = parts(
-        "{} value less the calibrated baseline (of logarithms, where a quantity is positive), in "
+        "Data ({}) less the calibrated baseline, of logarithms where a quantity is positive, in "
         "standard deviations of a reading about the model. Scatter without a pattern and within "
         "{} sd is what a model that lacks nothing leaves.",
-        label.capitalize(),
+        label,
         data.number("standardized", "", "threshold", THRESHOLD_SD, 0, "sd"),
     )
-    if len(set(_finite(residual, "fill_height"))) > 1 and np.isnan(residual["fill_height"]).any():
-        caption += " Readings of the full model have no fill height in the file."
     return Figure("standardized", "Where the baseline is off", caption, panels)
 
 
@@ -169,7 +167,7 @@ def misfit_figure(residual: xr.Dataset, data: Data) -> Figure | None:
     caption = parts(
         "Sum of squares of the whitened residuals, without what readings share: {} for {} "
         "readings, and each experiment's share of it.",
-        data.number("misfit", "", "sum of squares", squares.sum(), None),
+        data.number("misfit", "", "sum of squares", squares.sum(), decimals_of(squares.sum())),
         data.number("misfit", "", "readings", len(squares)),
     )
     return Figure("misfit", "Who has the misfit", caption, [panel])
@@ -243,7 +241,7 @@ def _square(data: Data, figure: str, quantity: str, label: str, values: np.ndarr
         name.capitalize(),
         f"model{unit and f' ({unit}'}",
         f"{label}{unit and f' ({unit}'}",
-        f"{label.capitalize()} {words} over the model's.",
+        f"Data ({label}) on {words}, over the model's values.",
         (2.7, 2.7),
     )
     values = values[np.isfinite(values)]
