@@ -17,6 +17,7 @@ from pipeline.report.figures import panel_style
 from pipeline.report.page import Badge, Data, Link, Table, decimals_of, parts, render
 from pipeline.report.study_figures import (
     SURE,
+    fold_figure,
     held_out_figure,
     posterior_figures,
     residual_figures,
@@ -113,7 +114,14 @@ def study_page(
         ratio=ratio_sentence(found["error"]["held_out"], data),
         held_out_is=found["held_out_is"],
         folds=fold_table(found, data),
-        held_out=held_out_figure(predictions, label, data),
+        held_out=[
+            figure
+            for figure in (
+                held_out_figure(predictions, label, data),
+                fold_figure(found["folds"], data),
+            )
+            if figure
+        ],
         parameters=parameter_table(found, data),
         still_open=open_sentence(found, data),
         mimics=mimic_table(found, data),
@@ -865,7 +873,7 @@ def provenance_table(found: Mapping[str, Any], data: Data) -> Table:
     ]
     for name, value in rows:
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        table.rows.append([name, table.number(name, "value", value) if is_number else value])
+        table.rows.append([name, [table.number(name, "value", value)] if is_number else value])
     return table
 
 

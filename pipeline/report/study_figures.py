@@ -231,6 +231,34 @@ def held_out_figure(rows: Sequence[Mapping[str, Any]], label: str, data: Data) -
     return Figure("held_out", "Held-out predictions", caption, panels)
 
 
+def fold_figure(folds: Sequence[Mapping[str, Any]], data: Data) -> Figure | None:
+    """Error of each held-out part before and after; None for fewer than two."""
+    errors = {
+        fold["name"]: [fold["error"][when]["rms_log"] for when in ("before", "after")]
+        for fold in folds
+        if fold["error"] and fold["error"]["before"]["rms_log"] is not None
+    }
+    if len(errors) < 2:
+        return None
+    panel = Panel(
+        data,
+        "folds",
+        "",
+        "held-out error, rms of logarithms (–)",
+        "",
+        "Held-out error before and after, by what was held out.",
+        (2.5, 0.3 + 0.27 * len(errors)),
+        left=NAMES_WIDTH,
+    )
+    panel.rows(errors)
+    before, after = zip(*errors.values(), strict=True)
+    panel.dots("before", before, errors, ORANGE, "s", False)
+    panel.dots("after", after, errors, BLUE)
+    panel.axes.set_xlim(0, None)
+    caption = "Each by the model that a loop without it came to."
+    return Figure("folds", "Error of each held-out part", caption, [panel])
+
+
 def _square(data: Data, figure: str, quantity: str, label: str, values: np.ndarray) -> Panel:
     """Axes of a model's values and the data, with the line on which they are equal."""
     words = quantity_words(quantity)
