@@ -183,6 +183,8 @@ def verdict(found: Mapping[str, Any], data: Data) -> list[Markup]:
             _candidates(found["candidate_set"]),
         )
     )
+    if found["effects_added"] and last["round"] > found["settings"]["max_effects"]:
+        sentences[-1] += " The study allows no more effects."
     return sentences
 
 

@@ -40,8 +40,8 @@ def residual_figures(residual: xr.Dataset, label: str, data: Data) -> list[Figur
     """What the baseline leaves unexplained; `label` says what the data are."""
     figures = [
         one_to_one_figure(residual, label, data),
-        standardized_figure(residual, label, data),
         misfit_figure(residual, data),
+        standardized_figure(residual, label, data),
     ]
     return [figure for figure in figures if figure]
 
