@@ -847,8 +847,8 @@ def improved_table(improved: Mapping[str, Any], data: Data) -> Table | None:
     table = Table(
         "improved",
         "Vertical stress from the workflow's own runs of each experiment over all its values, "
-        "those of the fit among them: before as the study found the model, after with the "
-        "improved file (kPa; bias: model less value).",
+        "those of the fit among them (kPa; bias: model less value). Before: the study's "
+        "calibrated baseline. After: the improved file as it is.",
         [
             "Improved file",
             "Values",
@@ -874,8 +874,10 @@ def provenance_table(found: Mapping[str, Any], data: Data) -> Table:
         *_flat("", found["settings"]),
     ]
     for name, value in rows:
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        table.rows.append([name, [table.number(name, "value", value)] if is_number else value])
+        if isinstance(value, int | float):
+            decimals = 0 if isinstance(value, int) else None
+            value = [table.number(name, "value", value, decimals)]
+        table.rows.append([name, value])
     return table
 
 
