@@ -13,10 +13,10 @@ from markupsafe import Markup
 from pipeline.config.study import Study
 from pipeline.effects import effects
 from pipeline.files.atomic import read_json, write_text
+from pipeline.loop.attribution import SURE
 from pipeline.report.figures import panel_style
 from pipeline.report.page import Badge, Data, Link, Table, decimals_of, parts, render
 from pipeline.report.study_figures import (
-    SURE,
     fold_figure,
     held_out_figure,
     posterior_figures,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from pipeline.loop.attribution import SURE
 from pipeline.report.figures import BLUE, GREEN, INK, MARKERS, MUTED, ORANGE, PURPLE, Panel
 from pipeline.report.page import Data, Figure, decimals_of, parts
 from pipeline.report.results import THRESHOLD_SD, quantity_words
@@ -16,7 +17,6 @@ from pipeline.report.results import THRESHOLD_SD, quantity_words
 NAMES_WIDTH = 2.2  # of names beside rows, inches
 WIDE = 15.0  # standard deviations from which their axis turns logarithmic
 WIDE_RATIO = 20.0  # of the largest to the smallest value, likewise
-SURE = 0.9  # posterior from which one name is added
 STANDARD = "data less model (sd)"
 GROUPS = {  # variable of residual.nc: what its values are
     "experiment": "experiment",
