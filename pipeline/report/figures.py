@@ -168,8 +168,17 @@ class Panel:
         )
         self.legend[label] = _marker_swatch(color, marker, filled)
 
+    def bars(self, label, x, names, color=BLUE) -> None:
+        """Bars from 0 to `x` in the row of each name."""
+        for name, value in zip(names, x, strict=True):
+            self._data.add(self._figure, name, label, "", None, self._x, [value])
+        self.axes.barh([self._rows.index(name) for name in names], x, 0.62, color=color)
+        self.legend[label] = _swatch(
+            f'<rect x="3" y="2" width="20" height="8" fill="var(--{_VARIABLES[color]})"/>'
+        )
+
     def rows(self, names) -> None:
-        """Name the rows of `dots`, the first on top."""
+        """Name the rows of `dots` and `bars`, the first on top."""
         self._rows = list(names)
         self.axes.set_yticks(range(len(names)), names)
         self.axes.set_ylim(len(names) - 0.5, -0.5)

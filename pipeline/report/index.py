@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from pipeline.report.page import (
     render,
 )
 from pipeline.report.results import THRESHOLD_SD, THRESHOLD_SHARE, Agreement, agreement
+from pipeline.report.study import VERDICTS
 from pipeline.validate.validation import CALIBRATED, DECLARED, REPRODUCED
 
 NAMES_WIDTH = 2.2  # of the experiments' names beside a figure, inches
@@ -89,12 +90,14 @@ def write_index(
     flow_law: str | Path,
     page: str | Path,
     numbers: str | Path,
+    studies: Mapping[str, str | Path] | None = None,
 ) -> None:
     """Write the index page and `index.json`, which holds every number on it.
 
     The first four are in the same order: experiments, their `calibration.json`,
     `validation.json` and `report.html`. `flow_law` is the figure of the flow kernel's own check,
-    with its numbers beside it; the page shows it.
+    with its numbers beside it; the page shows it. `studies` are their `closed_loop.json` by name,
+    each beside its `report.html`.
     """
     folder = Path(page).parent
     entries = [
@@ -108,14 +111,19 @@ def write_index(
             experiments, calibrations, validations, reports, strict=True
         )
     ]
+    closed = [
+        read_json(path) | {"link": _link(Path(path).with_name("report.html"), folder)}
+        for path in (studies or {}).values()
+    ]
     data = Data()
     with panel_style():
-        html = index_page(entries, data, Path(numbers).name, _link(flow_law, folder))
+        html = index_page(entries, closed, data, Path(numbers).name, _link(flow_law, folder))
     write_json(
         numbers,
         {
             "schema_version": "1.0",
             "experiments": [summary(entry) for entry in entries],
+            "studies": [study_summary(found) for found in closed],
             "data": data.to_records(),
         },
     )
@@ -145,12 +153,38 @@ def summary(entry: Entry) -> dict[str, Any]:
     }
 
 
+def study_summary(found: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page says of a study, for scripts."""
+    return {
+        "study": found["study"],
+        "title": found["title"],
+        "data_labels": found["data_labels"],
+        "report": found["link"],
+        "verdict": found["verdict"],
+        "effects_added": _names_added(found),
+        "held_out": found["error"]["held_out"],
+    }
+
+
+def _names_added(found: Mapping[str, Any]) -> list[str]:
+    return list(dict.fromkeys(entry["name"] for entry in found["effects_added"]))
+
+
 def _link(path: str | Path, folder: Path) -> str:
     return Path(os.path.relpath(path, folder)).as_posix()
 
 
-def index_page(entries: Sequence[Entry], data: Data, numbers: str, flow_law: str) -> str:
-    """HTML of the index; `numbers` and `flow_law` are links from it to these files."""
+def index_page(
+    entries: Sequence[Entry],
+    studies: Sequence[Mapping[str, Any]],
+    data: Data,
+    numbers: str,
+    flow_law: str,
+) -> str:
+    """HTML of the index; `studies` are their closed_loop.json with a `link` to their page.
+
+    `numbers` and `flow_law` are links from it to these files.
+    """
     static = [entry for entry in entries if not entry.experiment.is_draw]
     draw = [entry for entry in entries if entry.experiment.is_draw]
     own_E = [e for e in entries if not e.experiment.is_draw or "E" in e.experiment.calibrate]
@@ -171,6 +205,7 @@ def index_page(entries: Sequence[Entry], data: Data, numbers: str, flow_law: str
         ),
         static=static_table(static, data) if static else None,
         draw=draw_table(draw, data) if draw else None,
+        studies=study_table(studies, data) if studies else None,
         transmission=transmission_table(own_E, data) if own_E else None,
         figures=[figure for figure in figures if figure],
         numbers=numbers,
@@ -277,6 +312,45 @@ def draw_table(entries: Sequence[Entry], data: Data) -> Table:
         held = table.number(entry.name, "signs that hold", sum(fact["holds"] for fact in facts))
         of = table.number(entry.name, "published signs", len(facts))
         table.rows[-1].append([held, "of", of] if facts else "")
+    return table.without_empty_columns()
+
+
+def study_table(studies: Sequence[Mapping[str, Any]], data: Data) -> Table:
+    """Studies: what was found and added, and the held-out error before and after."""
+    kpa, logs = "Held-out error, rms (kPa)", "Held-out error, rms of logarithms"
+    table = Table(
+        "studies",
+        "Studies close the loop: they find what the model lacks, add it, and compare the error "
+        "before and after on data that had no part in the fit.",
+        [
+            "Study",
+            "Title",
+            "Data",
+            "Verdict",
+            "Added",
+            f"{kpa}: before",
+            f"{kpa}: after",
+            f"{logs}: before",
+            f"{logs}: after",
+            "Values",
+        ],
+        data,
+    )
+    for found in studies:
+        before, after = (found["error"]["held_out"][when] for when in ("before", "after"))
+        numbers = [(one[key], None) for key in ("rms_kpa", "rms_log") for one in (before, after)]
+        numbers.append((after["n"], 0))
+        cells = zip(table.columns[5:], numbers, strict=True)
+        table.rows.append(
+            [
+                Link(found["study"], found["link"]),
+                found["title"],
+                ", ".join(found["data_labels"]),
+                VERDICTS[found["verdict"]],
+                ", ".join(_names_added(found)) or "nothing",
+                *(table.number(found["study"], column, *number) for column, number in cells),
+            ]
+        )
     return table.without_empty_columns()
 
 

@@ -3,6 +3,7 @@
 import pytest
 from pages import Made, row
 from pages import make_page as make_page_in
+from studies import MadeStudy, closed_loop, make_study
 
 
 @pytest.fixture(scope="session")
@@ -47,3 +48,9 @@ def draw(drawn, make_page) -> Made:
         row("movement_zone_height", 0.5, 0.05, mass_drawn=4.0),
     )
     return make_page(experiment, rows)
+
+
+@pytest.fixture(scope="session")
+def study(tmp_path_factory) -> MadeStudy:
+    """A study that found an effect."""
+    return make_study(tmp_path_factory.mktemp("study"), closed_loop())
