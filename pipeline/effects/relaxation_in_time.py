@@ -12,8 +12,9 @@ def relax(state: State, values: Values) -> State:
     """Lower the straight share of stagnant cells by their steps at rest."""
     kept = np.exp(-values["rate"] * state.steps_at_rest)
     aside = 4.0 * (state.edge.astype(np.float64) + state.corner)  # over the weight straight down
-    factor = kept * aside / (1.0 + aside - kept)
-    factor = np.where((state.code == STAGNANT) & (kept < 1.0), factor, 1.0).astype(np.float32)
+    decayed = (state.code == STAGNANT) & (kept < 1.0)
+    whole = np.where(decayed, 1.0 + aside - kept, 1.0)
+    factor = np.where(decayed, kept * aside / whole, 1.0).astype(np.float32)
     return replace(state, coupling=state.coupling._replace(straight=factor))
 
 

@@ -65,9 +65,10 @@ class Attribution:
 
     @property
     def best(self) -> Evidence:
-        """Most probable refitted hypothesis of the most probable name."""
+        """Most probable hypothesis of the most probable name, refitted where any of them is."""
         name = next(iter(self.by_name))
-        return next(e for e in self.evidence if e.hypothesis.name == name and e.refit is not None)
+        own = [e for e in self.evidence if e.hypothesis.name == name]
+        return next((e for e in own if e.refit is not None), own[0])
 
 
 def attribute(
@@ -151,11 +152,19 @@ def _refitted(model, data, noise, found, seen, hypothesis, inflation) -> Evidenc
     log_evidence = 0.5 * (found.cost - refit.cost) / inflation
     log_evidence -= 0.5 * (amplitude / tau) @ np.linalg.solve(spread, amplitude / tau)
     log_evidence -= 0.5 * np.linalg.slogdet(np.eye(added) + information)[1]
+    log_evidence -= _surprise(refit.point, added) - _surprise(found.point, 0)
     sd = np.sqrt(np.diag(np.linalg.inv(np.eye(added) + information))) * tau
     for term, a, s in zip(terms, amplitude, sd, strict=True):
         if sign := term.described.sign:
             log_evidence += float(log_ndtr(sign * a / s)) + math.log(2.0)
     return Evidence(hypothesis, float(log_evidence), refit)
+
+
+def _surprise(point: Point, added: int) -> float:
+    """Half the sum of squares, in their priors' sd, of the amplitudes that were there before."""
+    count = len(point.terms) - added
+    pairs = zip(point.terms[:count], point.amplitudes[:count], strict=True)
+    return 0.5 * sum(((a - t.described.neutral) / t.described.scale) ** 2 for t, a in pairs)
 
 
 def _first(found: Fit, added: int) -> Fit:

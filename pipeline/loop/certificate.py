@@ -68,7 +68,8 @@ def certificate(seen: Projected, gate: Gate, hypotheses: Sequence[Hypothesis]) -
         if surviving < LEAST_SURVIVING:
             why = "calibration explains all of it"
         elif detectable > room:
-            why = f"only amplitudes beyond {room:g} {described.unit} would show"
+            unit = "" if described.unit == "1" else f" {described.unit}"
+            why = f"only amplitudes beyond {room:g}{unit} would show"
         entries.append(
             Entry(
                 h,

@@ -17,7 +17,7 @@ from pipeline.loop.certificate import certificate
 from pipeline.loop.covariance import COMPONENTS, Noise
 from pipeline.loop.data import Data
 from pipeline.loop.fit import Fit, box
-from pipeline.loop.model import Model, Point, Term
+from pipeline.loop.model import Model, Point, Term, limits
 from pipeline.loop.problem import Problem
 from pipeline.loop.rounds import Outcome, Round
 
@@ -109,7 +109,10 @@ def effects_document(model: Model, outcome: Outcome, sd: np.ndarray) -> list[dic
             )
             entry["parameters"][term.parameter] = {
                 "value": value,
-                "interval_90": [value - Z90 * spread, value + Z90 * spread],
+                "interval_90": [
+                    float(end)
+                    for end in np.clip([value - Z90 * spread, value + Z90 * spread], *limits(term))
+                ],
                 "unit": term.described.unit,
             }
         document += keys.values()
@@ -173,6 +176,7 @@ def candidates_document(one: Round) -> list[dict[str, Any]]:
         entries.append(
             {
                 "name": h.name,
+                "label": h.label,
                 "kind": h.kind,
                 "scope": h.terms[0].scope,
                 "scope_key": h.key,
@@ -234,7 +238,8 @@ def residual_dataset(
     def text(values: Sequence[str]) -> tuple[str, np.ndarray]:
         return "reading", np.array([v.encode() for v in values], dtype="S")
 
-    names = [model.cases[model.case_of[i]].experiment.name for i in use]
+    experiments = [model.cases[model.case_of[i]].experiment for i in use]
+    names = [one.name for one in experiments]
     return xr.Dataset(
         {
             "measured": ("reading", value),
@@ -248,6 +253,11 @@ def residual_dataset(
             "load_cell": text([row.load_cell or "" for row in rows]),
             "quantity": text([row.quantity for row in rows]),
             "unit": text([QUANTITIES[row.quantity] for row in rows]),
+            "material": text([one.material.name for one in experiments]),
+            "wall_friction_angle": (
+                "reading",
+                np.array([e.walls.friction_angle if e.walls else math.nan for e in experiments]),
+            ),
             "fill_height": ("reading", _fill_heights(model, use, rows)),
             "mass_drawn": ("reading", np.array([row.mass_drawn or 0.0 for row in rows])),
         },

@@ -87,7 +87,7 @@ def close(
             break
         named = one.attribution.best
         probability = one.attribution.by_name[named.hypothesis.name]
-        if probability < SURE:
+        if probability < SURE or named.refit is None:
             break
         added.append(named)
         sure.append(probability)

@@ -21,6 +21,7 @@ rule index:
     params:
         files=[CATALOG.file(name) for name in CATALOG.experiments],
         settings=[CATALOG.settings(name) for name in CATALOG.experiments],
+        studies=list(CATALOG.studies),
         code=source_digest("index"),
     message:
         "index"

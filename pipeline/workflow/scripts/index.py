@@ -13,4 +13,5 @@ write_index(
     snakemake.input.flow_law,
     snakemake.output.index,
     snakemake.output.numbers,
+    dict(zip(snakemake.params.studies, snakemake.input.studies, strict=True)),
 )
