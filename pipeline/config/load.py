@@ -11,10 +11,10 @@ from typing import Any, ClassVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from pipeline.config.experiment import Experiment
+from pipeline.config.experiment import DRAW_PARAMETERS, Experiment
 from pipeline.config.measured import MeasuredError, MeasuredRow, read_measured
 from pipeline.config.messages import NAME_PATTERN, ConfigError, did_you_mean, problems, shown_path
-from pipeline.config.study import HeldOutLoadCells, Study
+from pipeline.config.study import HeldOutLoadCells, HeldOutTail, Study
 
 
 class _Loader(yaml.SafeLoader):
@@ -307,6 +307,9 @@ def _study_problems(
                 yield from error.problems
     for text in _hold_out_problems(study, known, experiments):
         yield study.path, text
+    if len(known) == len(study.experiments):
+        for text in _data_problems(study, known):
+            yield study.path, text
 
 
 def _hold_out_problems(
@@ -334,3 +337,49 @@ def _hold_out_problems(
                 f"hold_out.mass_drawn_above = {held_out.mass_drawn_above:g}: holds nothing out; "
                 f"the experiments draw up to {most:g} kg"
             )
+
+
+def _data_problems(study: Study, experiments: Mapping[str, Experiment]) -> Iterator[str]:
+    """Whether what is not held out can carry the study's parameters."""
+    try:
+        rows = {
+            name: check_measured(one) if study.data is None else _read_rows(study.data_path, one)
+            for name, one in experiments.items()
+        }
+    except ConfigError:
+        return  # said of the table itself
+    kept = {n: [r for r in own if not is_held_out(study, n, r)] for n, own in rows.items()}
+    count = sum(map(len, kept.values()))
+    if not count:
+        yield "hold_out: holds out every reading; leave some to calibrate on"
+        return
+    if study.hold_out != "leave_one_out" and count == sum(map(len, rows.values())):
+        yield "hold_out: holds out no reading; name what the measured tables have"
+    free = 0
+    for shared in study.parameters:
+        members = [one for name, one in experiments.items() if kept[name]]
+        if shared.name in DRAW_PARAMETERS:
+            members = [one for one in members if one.is_draw]
+        key = {"material": lambda e: e.material.name, "experiment": lambda e: e.name}
+        free += len({key.get(shared.shared_by, lambda e: None)(one) for one in members})
+    if study.parameters and not free:
+        listed = ", ".join(shared.name for shared in study.parameters)
+        yield (
+            f"parameters: no reading that is not held out depends on {listed}; "
+            "give parameters that act here, or []"
+        )
+    elif free > count:
+        yield (
+            f"parameters: {free} values to calibrate on {count} readings; share them more widely "
+            "(shared_by: study), or give more readings"
+        )
+
+
+def is_held_out(study: Study, name: str, row: MeasuredRow) -> bool:
+    """Whether a study keeps a row of the experiment `name` from the fit."""
+    hold_out = study.hold_out
+    if isinstance(hold_out, HeldOutLoadCells):
+        return row.load_cell in hold_out.load_cells
+    if isinstance(hold_out, HeldOutTail):
+        return (row.mass_drawn or 0.0) > hold_out.mass_drawn_above
+    return hold_out != "leave_one_out" and name in hold_out

@@ -26,7 +26,7 @@ from pipeline.observe import GEOMETRY, RowReader, only_measured
 from pipeline.parameters import Parameters, carry_transmission, declared_parameters
 from pipeline.simulate import FlowRecord, Setup, make_setup, record_flow, simulate
 
-CRN, FEW = 6, 2  # common random replicates of an evaluation; where packings do not differ
+CRN, FEW = 4, 2  # common random replicates of an evaluation; where packings do not differ
 SCATTER, OTHERS = 90, 54  # replicates that the covariance is made of, and others for null laws
 CLEAR = 4.0  # a derivative's square over that of its error, from which it is one
 SAME = 1e-9  # relative difference within which packings do not differ

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.config.experiment import Experiment
-from pipeline.config.load import check_measured, load_experiment
+from pipeline.config.load import check_measured, is_held_out, load_experiment
 from pipeline.config.measured import MeasuredRow, read_measured
 from pipeline.config.study import HeldOutLoadCells, HeldOutTail, Study
 from pipeline.loop.data import Data, observed
@@ -120,22 +120,18 @@ def _rows(study: Study, experiment: Experiment) -> tuple[MeasuredRow, ...]:
     return check_measured(experiment)
 
 
-def _folds(study: Study, model: Model):
+def _folds(study: Study, model: Model) -> Iterator[Fold]:
     every = range(len(model.rows))
     names = [model.cases[case].experiment.name for case in model.case_of]
 
-    def split(name, is_out):
-        out = tuple(i for i in every if is_out(i))
-        return Fold(name, tuple(i for i in every if not is_out(i)), out)
+    def split(name: str, held_out: Callable[[int], bool]) -> Fold:
+        out = tuple(i for i in every if held_out(i))
+        return Fold(name, tuple(i for i in every if not held_out(i)), out)
 
-    hold_out = study.hold_out
-    if hold_out == "leave_one_out":
+    if study.hold_out == "leave_one_out":
         for name in study.experiments:
             yield split(name, lambda i, name=name: names[i] == name)
-    elif isinstance(hold_out, HeldOutLoadCells):
-        yield split("load cells", lambda i: model.rows[i].load_cell in hold_out.load_cells)
-    elif isinstance(hold_out, HeldOutTail):
-        most = hold_out.mass_drawn_above
-        yield split("tail", lambda i: (model.rows[i].mass_drawn or 0.0) > most)
-    else:
-        yield split("experiments", lambda i: names[i] in hold_out)
+        return
+    kinds = {HeldOutLoadCells: "load cells", HeldOutTail: "tail"}
+    kind = kinds.get(type(study.hold_out), "experiments")
+    yield split(kind, lambda i: is_held_out(study, names[i], model.rows[i]))

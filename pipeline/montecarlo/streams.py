@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from functools import cache
 
 import numpy as np
 
@@ -25,6 +26,10 @@ def random_stream(seed: int, experiment: str, purpose: int, replicate: int) -> n
     It depends on nothing else: adding an experiment, a replicate or a worker changes nobody's
     numbers. The experiment enters by its name (64 bits of its SHA-256).
     """
-    name = int.from_bytes(hashlib.sha256(experiment.encode()).digest()[:8], "little")
-    sequence = np.random.SeedSequence(seed, spawn_key=(name, purpose, replicate))
+    sequence = np.random.SeedSequence(seed, spawn_key=(_number(experiment), purpose, replicate))
     return np.random.Generator(np.random.PCG64(sequence))
+
+
+@cache
+def _number(experiment: str) -> int:
+    return int.from_bytes(hashlib.sha256(experiment.encode()).digest()[:8], "little")
