@@ -8,6 +8,7 @@ from pipeline.effects import Effect, Parameter, State, Values
 from pipeline.effects._features import FEATURES
 from pipeline.lattice.cells import MOVEMENT
 
+WEIGHT_PART = 0.2  # of an amplitude for ln γ: ground differs less in weight than in what it sheds
 CHANNELS = {
     "E": "the share of load that is shed, 1 − E,",
     "weight": "the weight of the ground",
@@ -16,11 +17,11 @@ CHANNELS = {
 
 
 def follow(state: State, values: Values) -> State:
-    """Multiply the channel by exp(amplitude · φ)."""
-    phi = FEATURES[values["feature"]](state)
-    factor = np.exp(values["amplitude"] * phi)
+    """Multiply the channel by exp(amplitude · φ), the weight by a part of that."""
+    change = values["amplitude"] * FEATURES[values["feature"]](state)
     if values["channel"] == "weight":
-        return replace(state, weight=state.weight * factor)
+        return replace(state, weight=state.weight * np.exp(WEIGHT_PART * change))
+    factor = np.exp(change)
     if values["channel"] == "R":
         field = state.coupling.relaxation
         field = field if field.size else np.full(state.code.shape, state.relaxation)
@@ -44,11 +45,21 @@ EFFECT = Effect(
     description="A correction that no effect of the catalogue stands for: in a part of the ground, "
     "or in proportion to a feature of it, more or less load is shed, the ground is heavier or "
     "lighter, or the movement zone takes more or less load.",
-    equation="1 − E, γ or R ← itself · exp(amplitude · φ), φ the feature of the place",
+    equation="1 − E or R ← itself · exp(amplitude · φ), γ ← γ · exp(0.2 amplitude · φ), "
+    "φ the feature of the place",
     source="found in data by the closed loop, from the adjoint of the stress sweep",
     scope="study",
     parameters=(
-        Parameter("amplitude", "1", 0.0, -5.0, 5.0, 0.3, 0, "change of ln(1 − E), ln γ or ln R"),
+        Parameter(
+            "amplitude",
+            "1",
+            0.0,
+            -5.0,
+            5.0,
+            0.3,
+            0,
+            "change of ln(1 − E) or ln R; 5 × that of ln γ",
+        ),
     ),
     moves="depends on the rule",
     example={"amplitude": 0.4, "channel": "E", "feature": "walls"},

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.effects import State
 from pipeline.effects._features import FEATURES
-from pipeline.effects.local_rule import CHANNELS
+from pipeline.effects.local_rule import CHANNELS, WEIGHT_PART
 from pipeline.lattice.adjoint import Influence
 from pipeline.loop.hypotheses import Hypothesis
 from pipeline.loop.model import Model, Point
@@ -54,7 +54,7 @@ def _gradients(model: Model, point: Point, case: int, replicate: int) -> np.ndar
         by_shed = found.shed * sweep.shed_fraction
         if found.own_shed.size:
             by_shed = by_shed + found.own_shed * sweep.coupling.own_shed
-        by_weight = found.weight * sweep.weight
+        by_weight = WEIGHT_PART * found.weight * sweep.weight
         fields = [by_shed, by_weight, found.relaxation] if setup.masses else [by_shed, by_weight]
         parts = [field.reshape(len(field), -1) @ features.T for field in fields]
         if not setup.masses:
