@@ -58,7 +58,7 @@ EFFECT = Effect(
             5.0,
             0.3,
             0,
-            "change of ln(1 − E) or ln R; 5 × that of ln γ",
+            "change of ln(1 − E), of ln R, or of 5 ln γ",
         ),
     ),
     moves="depends on the rule",

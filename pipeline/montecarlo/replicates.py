@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -156,9 +157,12 @@ def run_tasks(
     if execution.workers == 1 and not execution.scheduler:
         return [task() for task in tasks]
     delayed = [dask.delayed(task, pure=False)() for task in tasks]
-    if processes and not execution.scheduler:
+    if processes and hasattr(os, "fork") and not execution.scheduler:
         workers = min(execution.workers, len(tasks))
-        return list(dask.compute(*delayed, scheduler="processes", num_workers=workers))
+        with dask.config.set(
+            {"multiprocessing.context": "fork"}
+        ):  # others run the job's script anew
+            return list(dask.compute(*delayed, scheduler="processes", num_workers=workers))
     with dask_session(execution):
         return list(dask.compute(*delayed))
 
