@@ -158,10 +158,8 @@ def run_tasks(
         return [task() for task in tasks]
     delayed = [dask.delayed(task, pure=False)() for task in tasks]
     if processes and hasattr(os, "fork") and not execution.scheduler:
-        workers = min(execution.workers, len(tasks))
-        with dask.config.set(
-            {"multiprocessing.context": "fork"}
-        ):  # others run the job's script anew
+        workers = min(execution.workers, len(tasks))  # forked: others would run the job's script
+        with dask.config.set({"multiprocessing.context": "fork"}):
             return list(dask.compute(*delayed, scheduler="processes", num_workers=workers))
     with dask_session(execution):
         return list(dask.compute(*delayed))
