@@ -248,7 +248,9 @@ def closed(
         "study": study.name,
         "unit": "as measured: kPa for stresses",
         "rows": [
-            _place(model, i) | {name: _plain(model, i, pooled[name][k]) for name in VARIANTS}
+            _place(model, i)
+            | {"measured": measured[i].value}
+            | {name: _plain(model, i, pooled[name][k]) for name in VARIANTS}
             for k, i in enumerate(rows)
         ],
     }
