@@ -87,7 +87,7 @@ def close(
             break
         named = one.attribution.best
         probability = one.attribution.by_name[named.hypothesis.name]
-        if probability < SURE or named.refit is None:
+        if probability < SURE or named.refit is None or not one.gate.points_somewhere:
             break
         added.append(named)
         sure.append(probability)
@@ -151,7 +151,7 @@ def _verdict(last: Round, added: Sequence[Evidence]) -> str:
         return "unknown_effect" if only_rules else "effect"
     if not last.gate.rejected:
         return "no_effect_detectable"
-    return "ambiguous"
+    return "ambiguous" if last.gate.points_somewhere else "unexplained"
 
 
 def _log(study: Study, one: Round) -> None:
