@@ -16,7 +16,6 @@ from pipeline.effects import State
 from pipeline.lattice.cells import MOVEMENT, OUTSIDE, STAGNANT
 
 SHELL = 2.5  # cells: how far the surroundings of a movement zone or of an opening reach
-RESTED = 10.0  # increments of draw after which ground has come to rest
 NEAR = 4.0  # cells over which what decays with distance falls by e
 
 Feature = Callable[[State], np.ndarray]
@@ -160,7 +159,7 @@ def zone_edge(state: State) -> np.ndarray:
 
 def resting_zone(state: State) -> np.ndarray:
     """in the movement zone, where nothing has moved of late"""
-    rest = -np.expm1(-state.steps_at_rest / RESTED)
+    rest = state.steps_at_rest / max(float(state.steps_at_rest.max()), 1.0)
     return _zone(state) * np.broadcast_to(rest, state.code.shape)
 
 
