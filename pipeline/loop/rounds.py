@@ -94,12 +94,13 @@ def close(
             break
         added.append(named)
         sure.append(probability)
-        found, here = calibrated(model, data, named.refit.point, one.noise.factors)
+        factors = one.noise.factors
+        found, here = calibrated(model, data, named.refit.point, factors, settled=True)
         for number in _spoken_for_no_more(model, data, found, here, added):
             dropped.append(added[number].hypothesis.label)
             terms = added.pop(number).hypothesis.terms
             sure.pop(number)
-            found, here = calibrated(model, data, found.point.without(terms), one.noise.factors)
+            found, here = calibrated(model, data, found.point.without(terms), factors)
     verdict = _verdict(rounds[-1], added)
     return Outcome(tuple(rounds), tuple(added), tuple(sure), tuple(dropped), verdict)
 
