@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -207,7 +207,7 @@ def _true(experiment, rows, active, true_E) -> np.ndarray:
     packing, flow = (random_stream(7, experiment.name, p, 0) for p in (PACKING, FLOW))
     reader = RowReader(setup, rows)
     values = reader.values(simulate(setup, parameters, packing, flow))
-    return reader.sensed(values[None], setup)[0]
+    return reader.sensed(values[None], replace(setup, effects=()))[0]  # sensors acted already
 
 
 def _write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

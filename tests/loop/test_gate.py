@@ -85,7 +85,9 @@ def test_readings_that_nothing_is_missing_of_pass(one):
     assert one.gate.p_value > one.gate.alpha
 
 
-@pytest.mark.parametrize("label", ["wall_friction [gravel]", "surcharge", "local_rule E lower_third"])
+@pytest.mark.parametrize(
+    "label", ["wall_friction [gravel]", "surcharge", "local_rule E lower_third"]
+)
 def test_an_injected_direction_is_found(one, label):
     hypothesis = named(one, label)
     column = one.seen.of(hypothesis)[:, 0] * (hypothesis.terms[0].described.sign or 1)
@@ -192,11 +194,16 @@ def test_every_hypothesis_is_in_the_certificate_and_untestable_ones_say_why(one)
     for entry in entries:
         assert entry.testable == (entry.why == "")
         assert 0.0 <= entry.surviving_fraction <= 1.0 + 1e-9
-        assert entry.testable or entry.why in (
-            "no reading answers to it",
-            "nothing of it is left",
-            "calibration explains all of it",
-        ) or entry.why.startswith("only amplitudes beyond")
+        assert (
+            entry.testable
+            or entry.why
+            in (
+                "no reading answers to it",
+                "nothing of it is left",
+                "calibration explains all of it",
+            )
+            or entry.why.startswith("only amplitudes beyond")
+        )
 
 
 def test_nothing_but_rules_is_left_out_of_the_candidates(one, problem):
@@ -232,9 +239,7 @@ def test_a_detectable_amplitude_is_detected(one):
     """
     label = "wall_friction [gravel]"
     (entry,) = (
-        e
-        for e in certificate(one.seen, one.gate, one.hypotheses)
-        if e.hypothesis.label == label
+        e for e in certificate(one.seen, one.gate, one.hypotheses) if e.hypothesis.label == label
     )
     shift = one.seen.of(entry.hypothesis)[:, 0] * entry.minimal_detectable
     hits = 0
