@@ -17,6 +17,7 @@ from pipeline.config.load import load_experiments, load_studies
 from pipeline.config.measured import COLUMNS, MeasuredRow
 from pipeline.config.study import Study
 from pipeline.effects import Active, effects
+from pipeline.files.atomic import read_json, write_json
 from pipeline.lattice.block_model import build_block_model
 from pipeline.loop.problem import Problem, make_problem, measured_rows
 from pipeline.montecarlo.replicates import Execution
@@ -64,6 +65,11 @@ class World:
     def measured(self) -> list[MeasuredRow]:
         """All rows of the table, in the model's order."""
         return measured_rows(self.study, self.experiments)
+
+    def as_written(self, document: Mapping[str, Any]) -> dict[str, Any]:
+        """What another job of the workflow reads of a document."""
+        write_json(self.folder / "document.json", document)
+        return read_json(self.folder / "document.json")
 
     def edit(self, change: Callable[[dict[str, str]], Mapping[str, Any] | None]) -> None:
         """Change rows of the measured table; a row for which `change` gives None stays."""

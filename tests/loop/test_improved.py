@@ -89,7 +89,7 @@ def test_files_run_as_the_loop_predicted(tmp_path):
     assert_same_prediction(world, point_of(model, -0.3, 0.2, 0.1), tmp_path / "improved")
 
 
-@pytest.mark.parametrize("shift", [0.3, -0.4, 1.2, -2.5])
+@pytest.mark.parametrize("shift", [0.3, -0.4])
 def test_E_min_is_written_out_with_its_shift(tmp_path, shift):
     world = mixed_problem(tmp_path / "w", ("E_min",))
     model = world.problem().model
