@@ -207,7 +207,7 @@ def test_every_hypothesis_is_in_the_certificate_and_untestable_ones_say_why(one)
 
 
 def test_nothing_but_rules_is_left_out_of_the_candidates(one, problem):
-    document = candidates_document(one)
+    document = candidates_document(one, {})
     known = catalogue(problem.study, problem.model, problem.data.use)
     assert sorted(e["label"] for e in document) == sorted(h.label for h in known)
     for entry in document:
