@@ -7,12 +7,13 @@ import pytest
 from scipy.stats import binom
 
 from pipeline.effects import effects
-from pipeline.loop.attribution import WORTH, attribute
+from pipeline.loop.attribution import WORTH, Evidence, attribute
 from pipeline.loop.certificate import certificate
 from pipeline.loop.documents import candidates_document
+from pipeline.loop.fit import calibrated
 from pipeline.loop.gate import lack_of_fit, projected
-from pipeline.loop.hypotheses import PRIOR, catalogue, rules
-from pipeline.loop.rounds import close
+from pipeline.loop.hypotheses import PRIOR, catalogue, rules, untried
+from pipeline.loop.rounds import _spoken_for_no_more, close
 from pipeline.loop.steps import attribution, residual
 
 ALPHA = 0.1
@@ -214,6 +215,31 @@ def test_nothing_but_rules_is_left_out_of_the_candidates(one, problem):
         assert entry["name"] in effects()
         assert entry["testable"] or entry["why"]
         assert entry["probability"] is None  # nobody asked
+
+
+def test_what_no_reading_can_be_asked_about_is_listed_with_the_reason(one, problem):
+    reasons = untried(problem.study, problem.model, problem.data.use)
+    tried = {h.name for h in catalogue(problem.study, problem.model, problem.data.use)}
+    assert tried | set(reasons) == set(effects()) - {"local_rule"}
+    assert not tried & set(reasons)
+    assert all(reasons.values())
+    listed = {e["name"]: e for e in candidates_document(one, reasons)}
+    assert set(listed) == tried | set(reasons)
+    assert "scatter" in listed["packing_variability"]["why"]
+
+
+def test_an_addition_that_a_later_one_makes_needless_is_taken_out(walls):
+    problem = walls.problem()
+    model, data = problem.model.only(problem.data.use), problem.data
+    found = {h.label: h for h in catalogue(problem.study, model, data.use)}
+    friction = next(h for h in found.values() if h.name == "wall_friction")
+    needless = next(h for h in found.values() if h.name == "compaction")
+    terms = (*needless.terms, *friction.terms)
+    start = model.start.with_terms(terms, [t.described.neutral for t in terms])
+    fit, noise = calibrated(model, data, start)
+    added = [Evidence(h, 0.0, fit) for h in (needless, friction)]
+    assert _spoken_for_no_more(model, data, fit, noise, added) == [0]
+    assert _spoken_for_no_more(model, data, fit, noise, added[::-1]) == []
 
 
 def test_all_of_the_catalogue_that_can_act_is_tried(problem):
