@@ -45,8 +45,9 @@ class Parameters:
         """1 − E_min for movement zones of the given heights (m), never above 1.
 
         Without a law the movement zone transmits like stagnant ground. The table is linear
-        between its heights and constant beyond them. The power law is Janssen's length of a zone
-        whose hydraulic radius grows as height^exponent: 1 − E_min(h) =
+        between its heights and constant beyond them; shifted, it never sheds less than 1 − E. The
+        power law is Janssen's length of a zone whose hydraulic radius grows as height^exponent:
+        1 − E_min(h) =
         (1 − E_min(h0)) (h / h0)^(−exponent), but never less than 1 − E.
         """
         height = np.asarray(height, dtype=np.float64)
@@ -54,8 +55,11 @@ class Parameters:
             return np.full(height.shape, 1.0 - self.E)
         factor = math.exp(self.E_min_shift)
         if isinstance(self.E_min, EMinTable):
-            shed = factor * (1.0 - np.array(self.E_min.value))
-            return np.interp(height, self.E_min.height, np.clip(shed, 1.0 - self.E, 1.0))
+            shed = factor * (1.0 - np.interp(height, self.E_min.height, self.E_min.value))
+            least = (
+                1.0 - self.E if self.E_min_shift else 0.0
+            )  # a table as declared is taken as it is
+            return np.clip(shed, least, 1.0)
         law = self.E_min
         relative = np.maximum(height, self.cell_size) / law.at_height
         shed = factor * (1.0 - law.value) * relative**-law.exponent

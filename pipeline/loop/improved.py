@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from pipeline.config.experiment import Experiment
@@ -81,7 +83,11 @@ def _stress(experiment: Experiment, parameters: Parameters) -> dict[str, Any]:
 
         value = law["value"]
         if isinstance(value, list):
-            law["value"] = [shifted(v) for v in value]
+            heights = _with_crossings(
+                law["height"], [1.0 - factor * (1.0 - v) for v in value], parameters.E
+            )
+            law["height"] = heights
+            law["value"] = [float(shifted(v)) for v in np.interp(heights, *_knots(parameters))]
         else:
             law["value"] = shifted(value)
             if law["value"] in (0.0, parameters.E) and law["exponent"] and value < 1.0:
@@ -89,6 +95,20 @@ def _stress(experiment: Experiment, parameters: Parameters) -> dict[str, Any]:
                 law["at_height"] *= left ** (1.0 / law["exponent"])
         stress["E_min"] = law
     return stress
+
+
+def _knots(parameters: Parameters) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    return parameters.E_min.height, parameters.E_min.value
+
+
+def _with_crossings(heights: list[float], values: list[float], E: float) -> list[float]:
+    """Heights of a table, and those between them at which its values meet 0 or E."""
+    knots = list(heights)
+    for (low, a), (high, b) in pairwise(zip(heights, values, strict=True)):
+        for bound in (0.0, E):
+            if (a - bound) * (b - bound) < 0.0:
+                knots.append(low + (high - low) * (bound - a) / (b - a))
+    return sorted(knots)
 
 
 def _effects(active: tuple[Active, ...]) -> dict[str, Any]:

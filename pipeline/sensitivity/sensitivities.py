@@ -462,7 +462,7 @@ def _adjoint(model: _Model, count: int, wanted: Iterable[str]) -> dict[str, np.n
 def _follows_E(sweep: Sweep, parameters: Parameters) -> np.ndarray:
     """Cells (z, y, x) that shed 1 − E: stagnant ones, and moving ones where E_min is no less."""
     follows = sweep.code == STAGNANT
-    if not isinstance(parameters.E_min, EMinTable):
+    if not isinstance(parameters.E_min, EMinTable) or parameters.E_min_shift:
         own = sweep.shed_fraction.dtype.type(1.0 - parameters.E)
         follows |= (sweep.code == MOVEMENT) & (sweep.shed_fraction == own)
     return follows
