@@ -434,15 +434,29 @@ def _sweep(
             _powers(side[k, j], across[k, j], power)
             total[:] = 0.0
             for m in range(len(dy)):
-                p, towards = power[abs(dy[m]), abs(dx[m])], factor[j + 2 + dy[m]]
-                for i in range(nx):
-                    total[i] += tilted[m] * p[i] * towards[i + 2 + dx[m]]
+                row, first = j + 2 + dy[m], 2 + dx[m]
+                _add_products(
+                    total,
+                    tilted[m],
+                    power[abs(dy[m]), abs(dx[m])],
+                    factor[row, first : first + nx],
+                )
             for i in range(nx):
                 given[i] /= max(total[i], 1e-300)
             for m in range(len(dy)):
-                p, into = power[abs(dy[m]), abs(dx[m])], received[j + 2 + dy[m]]
-                for i in range(nx):
-                    into[i + 2 + dx[m]] += tilted[m] * p[i] * given[i]
+                row, first = j + 2 + dy[m], 2 + dx[m]
+                _add_products(
+                    received[row, first : first + nx],
+                    tilted[m],
+                    power[abs(dy[m]), abs(dx[m])],
+                    given,
+                )
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _add_products(total, scale, left, right):
+    for i in range(len(total)):
+        total[i] += scale * left[i] * right[i]
 
 
 @njit(nogil=True, cache=True)
@@ -652,42 +666,51 @@ def _continuum(experiment, theta, acting, physics, packing):
     dσ/dz = ρ g − σ/ℓ (σ/σ_ref)^slope − σ K tan φ / R_h − ∂/∂x (tan θ σ − D ∂σ/∂x)
     """
     box = _Box(experiment, acting)
-    declared_shed = 1.0 - theta["E"][experiment["material"]["name"]]
-    rate = -math.log1p(-declared_shed) / box.declared_cell
+    rate = -math.log(theta["E"][experiment["material"]["name"]]) / box.declared_cell
     wall = 0.0
     if "wall_friction" in acting:
         angle = math.radians(experiment["walls"]["friction_angle"])
         wall = acting["wall_friction"]["K"] * math.tan(angle) / box.area_over_perimeter
-    slope = acting.get("stress_dependent_transmission", {"slope": 0.0})["slope"]
-    index = acting.get("compaction", {"index": 0.0})["index"]
-    drift = math.tan(math.radians(acting.get("tilt", {"angle_x": 0.0})["angle_x"]))
-    diffusion = 0.5 * _lattice_variance(experiment["stress"]["s"]["mean"]) * box.declared_cell
-    diffusion *= physics.spread
-    top = 1e3 * acting.get("surcharge", {"stress": 0.0})["stress"]
     width = experiment["geometry"]["width"]
-    strip = width / STRIPS
-    edges = np.arange(STRIPS + 1) * strip
+    edges = np.linspace(0.0, width, STRIPS + 1)
     under = np.array([_overlap(edges, c["x"], c["width"]) for c in experiment["load_cells"]])
     under /= under.sum(axis=1, keepdims=True)
+    diffusion = 0.5 * _lattice_variance(experiment["stress"]["s"]["mean"]) * box.declared_cell
+    drift = math.tan(math.radians(acting.get("tilt", {"angle_x": 0.0})["angle_x"]))
     scatter = PACKING_SCATTER * theta["s"] / 1.5 * packing.standard_normal(len(under))
     rows = []
     for level in experiment["filling"]["levels"]:
         height = level * box.height_factor
-        steps = max(1, round(height / SLICE))
-        dz = height / steps
-        depth = (np.arange(steps) + 0.5) * dz
-        density = depth**index
-        density *= box.density / density.mean()
-        stress = np.full(STRIPS, top)
-        for n in range(steps):
-            flux = np.zeros(STRIPS + 1)
-            middle = 0.5 * (stress[1:] + stress[:-1])
-            flux[1:-1] = drift * middle - diffusion * np.diff(stress) / strip
-            gained = density[n] * GRAVITY - wall * stress - np.diff(flux) / strip
-            shed = rate * stress
-            if slope:
-                relative = np.maximum(stress, 1.0) / box.half_overburden
-                shed = shed * relative**slope
-            stress = stress + dz * (gained - shed)
+        depth = (np.arange(round(height / SLICE)) + 0.5) * SLICE
+        density = depth ** acting.get("compaction", {"index": 0.0})["index"]
+        density *= box.density * height / (density.sum() * SLICE)
+        stress = np.full(STRIPS, 1e3 * acting.get("surcharge", {"stress": 0.0})["stress"])
+        _descend(
+            stress,
+            GRAVITY * density,
+            rate,
+            wall,
+            acting.get("stress_dependent_transmission", {"slope": 0.0})["slope"],
+            box.half_overburden,
+            drift * STRIPS / width,
+            physics.spread * diffusion * (STRIPS / width) ** 2,
+        )
         rows.append(under @ stress * 1e-3 * np.exp(scatter))
     return np.array(rows)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _descend(stress, gained, rate, wall, slope, reference, drift, diffusion):
+    """Take the stress (strip) in Pa down the column, slice by slice.
+
+    `gained` (slice) in N m⁻³; `drift` and `diffusion` for each meter down, in strips.
+    """
+    flux = np.zeros(len(stress) + 1)
+    for own in gained:
+        for i in range(1, len(stress)):
+            middle = 0.5 * (stress[i] + stress[i - 1])
+            flux[i] = drift * middle - diffusion * (stress[i] - stress[i - 1])
+        for i in range(len(stress)):
+            by_stress = (max(stress[i], 1.0) / reference) ** slope
+            lost = (rate * by_stress + wall) * stress[i] + flux[i + 1] - flux[i]
+            stress[i] += SLICE * (own - lost)

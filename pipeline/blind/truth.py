@@ -21,7 +21,7 @@ from pipeline.lattice.block_model import build_block_model
 from pipeline.parameters import Parameters, declared_parameters
 from pipeline.simulate import Setup, load_cells, make_setup, simulate
 
-SHRINKAGE = 0.1  # of the replicate covariance to its diagonal
+SHRINKAGE = 0.2  # of the replicate covariance to its diagonal
 SENSORS = ("sensor_gain", "sensor_offset", "sensor_drift")
 THETA = (*(f"E:{material}" for material in laboratory.MATERIALS), "s", "R", "E_min")
 THETA_STD = (*(0.15 for _ in laboratory.MATERIALS), 0.25, 0.4, 0.15)

@@ -46,9 +46,10 @@ SHARED, OWN = 0.08, 0.055  # of a CV of 10 %: what a load cell's readings share,
 UNDERSTATED = 1.5  # true over declared noise of the nulls whose noise is understated
 HARD_NULLS = 5000  # index from which worlds are hard nulls, of the two kinds in turn
 REPLICATES = 64  # of the noise-free means of held-out experiments
-SCATTER = 40  # of the others, and of their covariance
-COMMON = 24  # on common random numbers, of the shift that an effect makes
-PROBES = 8  # on common random numbers, of a derivative and of a first look at an amplitude
+SCATTER = 32  # of the others, and of their covariance
+COMMON = 16  # on common random numbers, of the shift that an effect makes
+PROBES = 6  # on common random numbers, of a derivative
+LOOKS = 12  # on common random numbers, of a first look at an amplitude
 SHARED_PACKINGS, TRUE_PACKING = 0, 1  # streams of all that is averaged, and of the one measured
 DELTA_RANGE = (1.0, 20.0)
 PAIR_DELTA_RANGE = (3.0, 20.0)
@@ -265,14 +266,18 @@ class _World:
         """The same by the scatter of these logs (replicate, row)."""
         return Metric(logs, self.rows, (SHARED, OWN), self.jacobian)
 
-    def shift(self, added: Sequence[Added], count: int) -> dict[str, np.ndarray]:
-        """Change of log readings (replicate, row) by these effects, on common random numbers."""
+    def shift(self, added: Sequence[Added], count: int, after=None) -> dict[str, np.ndarray]:
+        """Change of log readings (replicate, row) by these effects, on common random numbers.
+
+        `after` is the ground stress with them where it is known.
+        """
         names = [n for n in self.fitted if any(self._reaches(one, n) for one in added)]
         before = {name: self.base[name][:count] for name in names}
-        in_ground = any(one.name not in SENSORS for one in added)
-        after = self.simulate(names, added, count) if in_ground else before
+        if after is None:
+            in_ground = any(one.name not in SENSORS for one in added)
+            after = self.simulate(names, added, count) if in_ground else before
         before = read_logs(self.generator, before, ())
-        after = read_logs(self.generator, after, added)
+        after = read_logs(self.generator, {name: after[name][:count] for name in names}, added)
         return {name: after[name] - before[name] for name in names}
 
     def _reaches(self, one: Added, name: str) -> bool:
@@ -282,7 +287,7 @@ class _World:
 
     def delta(self, one: Added) -> float:
         """How far an effect moves the readings, by a first look."""
-        shift = self.shift((one,), PROBES)
+        shift = self.shift((one,), LOOKS)
         if not all(np.isfinite(values).all() for values in shift.values()):
             return math.nan
         return self.first_metric.norm(shift)
@@ -292,8 +297,7 @@ class _World:
         stress = self.simulate(self.fitted, added, SCATTER)
         stress |= self.simulate(laboratory.HELD_OUT, added, REPLICATES)
         packing = self.simulate(self.documents, added, 1, packings=TRUE_PACKING)
-        logs = read_logs(self.generator, stress, added)
-        effects = [self._effect(one, added, logs) for one in added]
+        effects = [self._effect(one, added, stress) for one in added]
         rows = []
         for name, of_name in self.rows.items():
             of_ground = np.log(stress[name]).reshape(len(stress[name]), -1)
@@ -309,10 +313,11 @@ class _World:
                 rows.append(asdict(row) | {"held_out": row.held_out} | values)
         return effects, rows
 
-    def _effect(self, one: Added, added: Sequence[Added], logs) -> dict[str, Any]:
-        metric = self.metric({name: logs[name] for name in self.fitted})
-        shift = self.shift((one,), COMMON)
+    def _effect(self, one: Added, added: Sequence[Added], stress) -> dict[str, Any]:
+        logs = read_logs(self.generator, {name: stress[name] for name in self.fitted}, added)
+        metric = self.metric(logs)
         others = [self.shift((other,), COMMON) for other in added if other != one]
+        shift = self.shift((one,), COMMON, None if others else stress)
         document = one.document() | {"delta": metric.norm(shift)}
         if others:
             document["delta_beside_others"] = metric.norm(shift, beside=others)
