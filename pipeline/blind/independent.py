@@ -57,12 +57,12 @@ class Physics:
 class Change:
     """A change of the physics that is in no catalogue of effects, by an amplitude (0: none).
 
-    `words` says what it is, `channel` and `place` what it changes and where; `low` to `high` is
-    the range of the amplitude.
+    `words` says what it is; `channel` and `place` are what a local rule that describes it would
+    change (None: any) and where; `low` to `high` is the range of the amplitude.
     """
 
     words: str
-    channel: str
+    channel: str | None
     place: tuple[str, ...]
     low: float
     high: float
@@ -72,7 +72,7 @@ class Change:
 CHANGES = {
     "neighbor_spread": Change(
         "load spreads wider or less wide than calibration of s alone can follow",
-        "spreading",
+        None,
         ("weights", "spread"),
         -1.5,
         1.0,
@@ -80,7 +80,7 @@ CHANGES = {
     ),
     "anisotropic_spread": Change(
         "load spreads more along one side of the box than along the other",
-        "spreading",
+        None,
         ("weights", "spread", "lateral"),
         -1.5,
         1.5,
@@ -88,7 +88,7 @@ CHANGES = {
     ),
     "zone_width": Change(
         "movement zones are wider or narrower for their height than flow was calibrated to",
-        "flow",
+        None,
         ("movement zone", "zone", "shell", "boundary", "edge of"),
         -0.30,
         0.30,
@@ -656,7 +656,7 @@ def _shed_in_zone(box, theta, height):
 # static columns as a continuum
 
 SLICE = 0.005  # m
-STRIPS = 36
+STRIPS = 24
 PACKING_SCATTER = 0.035  # sd of log stress under a load cell, from packing to packing
 
 

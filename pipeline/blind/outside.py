@@ -27,12 +27,13 @@ def _as_they_are(parameters: Parameters, values: Values) -> Parameters:
 class Kind:
     """An effect outside the catalogue.
 
-    `words` says what it is; `channel` what it changes, and `place` where, in words of which a rule
-    that describes it right should use one; `low` to `high` is the range of its amplitude.
+    `words` says what it is; `channel` is what a local rule that describes it would change (E,
+    weight or R; None: any) and `place` where, in words of which it should use one; `low` to `high`
+    is the range of its amplitude.
     """
 
     words: str
-    channel: str
+    channel: str | None
     place: tuple[str, ...]
     low: float
     high: float
@@ -229,7 +230,7 @@ def _wet_top(state: State, values: Values) -> State:
 OUTSIDE = {
     "wide_zone": Kind(
         "movement zones are wider or narrower for their height than flow was calibrated to",
-        "flow",
+        None,
         ("movement zone", "zone", "shell", "boundary", "edge of"),
         -0.30,
         0.30,
@@ -325,7 +326,7 @@ OUTSIDE = {
     ),
     "other_weights": Kind(
         "load spreads by other neighbor weights",
-        "spreading",
+        None,
         ("weights", "spread"),
         -1.5,
         1.5,
