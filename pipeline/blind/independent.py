@@ -30,7 +30,6 @@ ZONE_SCATTER = 0.14  # sd of the log width of a drawpoint's movement zone
 STRAY = 8  # fewer loosened places than this in a level are no part of a zone's height
 SPREAD_MATCH = 1.2  # mean lateral variance of load paths over that of a cell whose s is the mean
 LUMP = 1.0  # mean size of what comes out at a time, in cells as high as a declared one
-RECEIVERS = (5, 9, 13, 25)
 
 Effects = Sequence[Mapping[str, Any]]  # each with name, scope_key (None: all) and parameters
 Theta = Mapping[str, Any]  # E by material, s (std), R, E_min (shift of log(1 − E_min))
@@ -42,7 +41,10 @@ class Physics:
 
     `receivers` of a cell's load in the level below; `law` of the scatter of their spread;
     `continuum`: static columns are no lattice. `spread` and `anisotropy` (x over y) are factors
-    on the lateral variance of load paths, `zone` on the width of movement zones.
+    on the lateral variance of load paths, `zone` on the width of movement zones. The rest is what
+    a lattice of this file may have too, as amplitudes: `shell` (ground at rest within 6 cm of a
+    zone sheds more), `crust` (so does the uppermost quarter meter), `side_density` (density leans
+    along x).
     """
 
     receivers: int = 13
@@ -51,6 +53,9 @@ class Physics:
     spread: float = 1.0
     anisotropy: float = 1.0
     zone: float = 1.0
+    shell: float = 0.0
+    crust: float = 0.0
+    side_density: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,30 @@ CHANGES = {
         0.30,
         lambda p, a: replace(p, zone=p.zone * math.exp(a)),
     ),
+    "sheared_shell": Change(
+        "ground at rest within 6 cm of a movement zone has been sheared and sheds more",
+        "E",
+        ("shell", "around the movement zone", "near the movement zone", "distance to"),
+        0.0,
+        8.0,
+        lambda p, a: replace(p, shell=a),
+    ),
+    "crust": Change(
+        "the uppermost quarter meter of the bed is crusted and sheds more",
+        "E",
+        ("surface", "top", "depth"),
+        0.0,
+        20.0,
+        lambda p, a: replace(p, crust=a),
+    ),
+    "side_density": Change(
+        "the bed was filled from one end and is denser there, its mass as declared",
+        "weight",
+        ("lateral", "side", "position", "wall"),
+        -0.4,
+        0.4,
+        lambda p, a: replace(p, side_density=a),
+    ),
 }
 """Changes by name."""
 
@@ -129,9 +158,8 @@ def ground_stress(
 def as_read(experiment: Mapping[str, Any], stress: np.ndarray, effects: Effects) -> np.ndarray:
     """What the load cells say of the stresses (time, load_cell) in kPa, their faults included."""
     names = [cell["name"] for cell in experiment["load_cells"]]
-    masses = (
-        np.array([0.0, *experiment["readings"]["at_mass_drawn"]]) if "draw" in experiment else 0.0
-    )
+    drawn = experiment["readings"]["at_mass_drawn"] if "draw" in experiment else ()
+    masses = np.array([0.0, *drawn])  # one for each time, or 0 for all of them
     read = stress.copy()
     for name in ("sensor_gain", "sensor_drift", "sensor_offset"):
         for one in effects:
@@ -149,11 +177,8 @@ def as_read(experiment: Mapping[str, Any], stress: np.ndarray, effects: Effects)
 
 def _overlap(edges: np.ndarray, center: float, extent: float) -> np.ndarray:
     """Length of each interval between `edges` inside the one of this center and extent."""
-    high, low = (
-        np.minimum(center + extent / 2, edges[1:]),
-        np.maximum(center - extent / 2, edges[:-1]),
-    )
-    return np.clip(high - low, 0.0, None)
+    high = np.minimum(center + extent / 2, edges[1:])
+    return np.clip(high - np.maximum(center - extent / 2, edges[:-1]), 0.0, None)
 
 
 class _Box:
@@ -189,6 +214,7 @@ class _Box:
         return weight
 
     def covered(self, area) -> np.ndarray:
+        """Share (y, x) of each base cell in a rectangle of the base."""
         shares = []
         for center, extent, count in (
             (area["y"], area["length"], self.ny),
@@ -218,7 +244,6 @@ def _stencil(receivers: int) -> tuple[np.ndarray, np.ndarray]:
     """Offsets along y and along x of the receivers of a cell's load."""
     offsets = [(y, x) for y in range(-2, 3) for x in range(-2, 3)]
     within = {
-        5: lambda y, x: abs(y) + abs(x) <= 1,
         9: lambda y, x: max(abs(y), abs(x)) <= 1,
         13: lambda y, x: abs(y) + abs(x) <= 2,
         25: lambda y, x: True,
@@ -267,9 +292,10 @@ class _Ground:
         stretch = math.sqrt(self.physics.anisotropy)
         return q ** (1.0 / stretch), q**stretch
 
-    def read(self, weight, shed, zone, filled, side, across):
+    def read(self, weight, shed, zone, filled, side, across, pillars):
         """Carry the weights (z, y, x) down and read the load cells, kPa."""
         box, acting = self.box, self.acting
+        weight, shed = self._uncatalogued(weight, shed, zone, filled)
         dy, dx = _stencil(self.physics.receivers)
         lean = 0.0
         if "tilt" in acting:
@@ -289,7 +315,7 @@ class _Ground:
             across,
             zone,
             filled,
-            self._relaxation(zone),
+            self._relaxation(pillars),
             self._beside(zone),
             dy,
             dx,
@@ -301,16 +327,26 @@ class _Ground:
         )
         return box.read(base)
 
-    def _relaxation(self, zone):
-        """R of each place (z, y, x) in a movement zone; lower at narrow pillars where asked for.
+    def _uncatalogued(self, weight, shed, zone, filled):
+        """Weights and shed fractions as the amplitudes of the physics leave them."""
+        physics, cell = self.physics, self.box.cell
+        factor = np.ones(shed.shape)
+        if physics.shell and (zone >= 0).any():
+            distance = ndimage.distance_transform_edt(zone < 0, sampling=cell)
+            factor[(zone < 0) & (distance <= 0.06)] += physics.shell
+        if physics.crust:
+            above = np.cumsum(filled[::-1], axis=0)[::-1] * cell
+            factor[above <= 0.25] += physics.crust
+        if physics.side_density:
+            along = (np.arange(weight.shape[2]) + 0.5) / weight.shape[2]
+            weight = weight * (1.0 + physics.side_density * (2.0 * along - 1.0))
+        return weight, np.minimum(shed * factor, 1.0)
 
-        A pillar is a run of ground at rest along x between two zones that is wider than two cells.
-        Moving places answer to the pillar that they are within a sixth of the box of.
-        """
-        field = np.full(zone.shape, self.theta["R"])
-        if "pillar_relaxation" in self.acting and (zone >= 0).any():
-            _pillars(zone, self.acting["pillar_relaxation"]["width"] / self.box.cell, field)
-        return field
+    def _relaxation(self, pillars):
+        """R of each place (z, y, x), R / (1 + width / W) near a pillar of width W."""
+        field = np.full(pillars.shape, self.theta["R"])
+        width = self.acting.get("pillar_relaxation", {"width": 0.0})["width"]
+        return field / (1.0 + width / self.box.cell * pillars)
 
     def _beside(self, zone):
         """Label of the zone that a place at rest lies within 3 cm of, sideways; −1 elsewhere."""
@@ -330,29 +366,8 @@ def _at_rest(ground, height):
     weight[-1] += ground.surcharge
     zone = np.full(weight.shape, -1, dtype=np.int16)
     shed = np.full(weight.shape, ground.own)
-    return ground.read(weight, shed, zone, zone < 0, ground.side[:filled], ground.across[:filled])
-
-
-@njit(nogil=True, cache=True)
-def _pillars(zone, width, field):
-    nz, ny, nx = zone.shape
-    for k in range(nz):
-        for j in range(ny):
-            last = -1  # the last moving place passed
-            for i in range(nx):
-                if zone[k, j, i] < 0:
-                    continue
-                gap = i - last - 1
-                if last >= 0 and gap > 2:
-                    divisor = 1.0 + width / gap
-                    for step in (-1, 1):
-                        x = last if step == -1 else i
-                        distance = 0
-                        while 0 <= x < nx and zone[k, j, x] >= 0 and distance < nx // 6:
-                            field[k, j, x] = min(field[k, j, x], field[k, j, x] / divisor)
-                            x += step
-                            distance += 1
-                last = i
+    spreading = ground.side[:filled], ground.across[:filled]
+    return ground.read(weight, shed, zone, zone < 0, *spreading, np.zeros(weight.shape))
 
 
 LEAST_RELAXATION = 1e-12  # R = 0 still lets ground amid a zone hand its load on
@@ -632,7 +647,35 @@ def _during_draw(ground, zones):
         shed = np.where(zone >= 0, in_zone[zone], shed)
         side, across = side.copy(), across.copy()  # what moves spreads its load anew
         side[zone >= 0], across[zone >= 0] = ground.spreading(np.count_nonzero(zone >= 0))
-    return ground.read(weight, shed, zone, filled, side, across)
+    pillars = np.zeros(zone.shape)
+    if "pillar_relaxation" in ground.acting:
+        x = np.array([point["x"] for point in box.experiment["drawpoints"]])
+        places = np.unique(x, return_inverse=True)[1]
+        _find_pillars(np.where(zones.label >= 0, places[zones.label], -1), pillars)
+    return ground.read(weight, shed, zone, filled, side, across, pillars)
+
+
+@njit(nogil=True, cache=True)
+def _find_pillars(place, pillars):
+    """One over the width in cells of the narrowest pillar near each moving place (z, y, x).
+
+    A pillar is ground at rest along x between ground that voids of two drawpoints moved, `place`
+    the number of the drawpoint's row and −1 at rest. It counts for what moved within a sixth of
+    the box of it.
+    """
+    nz, ny, nx = place.shape
+    for k in range(nz):
+        for j in range(ny):
+            last = -1
+            for i in range(nx):
+                if place[k, j, i] < 0:
+                    continue
+                gap = i - last - 1
+                if last >= 0 and gap > 0 and place[k, j, i] != place[k, j, last]:
+                    for x in range(max(last - nx // 6, 0), min(i + nx // 6, nx)):
+                        if place[k, j, x] >= 0:
+                            pillars[k, j, x] = max(pillars[k, j, x], 1.0 / gap)
+                last = i
 
 
 def _heights(zones) -> np.ndarray:

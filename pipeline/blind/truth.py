@@ -218,11 +218,12 @@ def replicates(
 def read_logs(
     generator: Generator, stress: Mapping[str, np.ndarray], added: Sequence[Added]
 ) -> dict[str, np.ndarray]:
-    """Log of what the load cells say, (replicate, row), of each experiment."""
+    """Log of what the load cells say, (replicate, row), of each experiment; NaN if not positive."""
     logs = {}
     for name, values in stress.items():
         read = np.array([generator.as_read(name, one, added) for one in values])
-        logs[name] = np.log(read).reshape(len(read), -1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            logs[name] = np.log(read).reshape(len(read), -1)
     return logs
 
 

@@ -12,7 +12,7 @@ import csv
 import hashlib
 import io
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from functools import cached_property, partial
@@ -82,7 +82,7 @@ AMPLITUDES = {
     "density_misdeclared": ("factor", 0.6, 1.6),
     "fill_height_misdeclared": ("factor", 0.7, 1.3),
     "sensor_gain": ("gain", 0.4, 2.5),
-    "sensor_offset": ("offset", -3.0, 8.0),
+    "sensor_offset": ("offset", -2.5, 8.0),
     "sensor_drift": ("rate", -0.025, 0.05),
 }
 INPUTS = ("density_misdeclared", "fill_height_misdeclared")
@@ -189,7 +189,7 @@ def draw_world(
     theta = np.array(THETA_STD) * choice.standard_normal(len(THETA))
     source = LatticeGenerator(documents)
     if generator == "independent":
-        source = IndependentGenerator(documents, _physics(choice))
+        source = IndependentGenerator(documents, _physics(kind, choice))
     world = _World(source, documents, theta, (seed, 3, index))
     added = _effects(world, kind, generator, choice, delta_range)
     effects, rows = world.truth_of(added)
@@ -291,10 +291,10 @@ class _World:
         return one.scope_key in {None, name, material, *cells}
 
     def delta(self, one: Added) -> float:
-        """How far an effect moves the readings, by a first look."""
+        """How far an effect moves the readings, by a first look; 0 if one is no longer positive."""
         shift = self.shift((one,), LOOKS)
         if not all(np.isfinite(values).all() for values in shift.values()):
-            return math.nan
+            return 0.0
         return self.first_metric.norm(shift)
 
     def truth_of(self, added: Sequence[Added]) -> tuple[list[dict], list[dict]]:
@@ -332,12 +332,12 @@ class _World:
         return document
 
 
-def _physics(choice: np.random.Generator) -> independent.Physics:
-    """The physics of an independent world."""
+def _physics(kind: str, choice: np.random.Generator) -> independent.Physics:
+    """The physics of an independent world; what is outside the catalogue acts on lattices alone."""
     return independent.Physics(
         receivers=int(choice.choice([9, 13, 25])),
         law=str(choice.choice(["lognormal", "uniform"])),
-        continuum=bool(choice.random() < 0.15),
+        continuum=bool(choice.random() < 0.15) and kind != "outside",
         spread=float(np.exp(0.1 * choice.standard_normal())),
     )
 
@@ -363,33 +363,48 @@ def _effects(world: _World, kind: str, generator: str, choice, delta_range) -> t
 def _effect_near(world: _World, names: Sequence[str], choice, log_delta: float) -> Added:
     """The first of the effects, in random order, that can move the readings so far.
 
-    Its amplitude is found along a power law of the distance between its ends; where none can, it
-    is the one that moves them most.
+    Where none can, it is the one that moves them most.
     """
-    most = (0.0, None)
+    most, farthest = -1.0, None
     for name in choice.permutation(list(names)):
-        key = _scope_key(world, name, choice)
-        parameter, neutral, end = _side(name, choice)
+        path = _path(world, str(name), choice)
+        reached = world.delta(path(1.0))
+        if reached >= math.exp(log_delta):
+            return _nearest(world, path, reached, log_delta)
+        if reached > most:
+            most, farthest = reached, path(1.0)
+    return farthest
 
-        def at(part, name=name, key=key, parameter=parameter, neutral=neutral, end=end):
-            return Added(str(name), key, {parameter: float(neutral + part * (end - neutral))})
 
-        part, power = 1.0, 1.0
-        found = world.delta(at(part))
-        if not math.isfinite(found) or found < math.exp(log_delta):
-            most = max(most, (found if math.isfinite(found) else 0.0, at(part)), key=lambda m: m[0])
-            continue
-        for _ in range(3):
-            if abs(math.log(found) - log_delta) < 0.1:
-                break
-            step = math.exp((log_delta - math.log(found)) / power)
-            nearer = min(part * step, 1.0)
-            other = max(world.delta(at(nearer)), 0.05)
-            if nearer != part and other != found:
-                power = max(math.log(other / found) / math.log(nearer / part), 0.2)
-            part, found = nearer, other
-        return at(part)
-    return most[1]
+def _path(world: _World, name: str, choice) -> Callable[[float], Added]:
+    """An effect on one of its sides, from neutral (0) to the end of its range (1)."""
+    if name in AMPLITUDES:
+        parameter, low, high = AMPLITUDES[name]
+    else:
+        kind = OUTSIDE.get(name) or independent.CHANGES[name]
+        parameter, low, high = "amplitude", kind.low, kind.high
+    key = _scope_key(world, name, choice)
+    neutral = 1.0 if name in FACTORS else 0.0
+    end = choice.choice([end for end in (low, high) if end != neutral])
+    return lambda part: Added(name, key, {parameter: float(neutral + part * (end - neutral))})
+
+
+def _nearest(world: _World, path: Callable, reached: float, log_delta: float) -> Added:
+    """The effect on its path that moves the readings by about so much, `reached` at its end.
+
+    How far it moves them is taken for a power of the way along the path.
+    """
+    part, power = 1.0, 1.0
+    for _ in range(3):
+        ahead = log_delta - math.log(reached)
+        if abs(ahead) < 0.1:
+            break
+        nearer = min(part * math.exp(ahead / power), 1.0)
+        then = max(world.delta(path(nearer)), 0.05)
+        if nearer != part and then != reached:
+            power = max(math.log(then / reached) / math.log(nearer / part), 0.2)
+        part, reached = nearer, then
+    return path(part)
 
 
 def _scope_key(world: _World, name: str, choice) -> str | None:
@@ -401,17 +416,6 @@ def _scope_key(world: _World, name: str, choice) -> str | None:
     if name == "fill_height_misdeclared":
         return str(choice.choice(world.fitted))
     return None
-
-
-def _side(name: str, choice) -> tuple[str, float, float]:
-    """Parameter of an effect, its neutral value, and the end of its range on one side."""
-    if name in AMPLITUDES:
-        parameter, low, high = AMPLITUDES[name]
-    else:
-        kind = OUTSIDE.get(name) or independent.CHANGES[name]
-        parameter, low, high = "amplitude", kind.low, kind.high
-    neutral = 1.0 if name in FACTORS else 0.0
-    return parameter, neutral, float(choice.choice([end for end in (low, high) if end != neutral]))
 
 
 # ---------------------------------------------------------------------------------------------
