@@ -105,16 +105,16 @@ def open_world(
     content = Path(sealed).read_bytes()
     if hashlib.sha256(content).hexdigest() != digest:
         raise SealBrokenError(f"{sealed}: its SHA-256 is not the one that was published")
-    rows = _json(predictions) if predictions is not None else ()
+    rows = _json(predictions)["rows"] if predictions is not None else ()
     return Scored(json.loads(content), _json(closed_loop), rows, **measured)
 
 
 def score(worlds: Sequence[Scored]) -> dict[str, Any]:
     """Every table of the blind benchmark, as JSON-able data.
 
-    Rates are documents {count, of, rate, low, high, lower_95}: an exact two-sided 95 % interval,
-    and the one-sided 95 % lower bound, by which a false-alarm bar is broken. Rates of nothing are
-    None.
+    Rates are documents {count, of, rate, low, high, lower_95, upper_95}: an exact two-sided 95 %
+    interval, and the one-sided 95 % bounds. Rates of nothing are None. `broken` lists the
+    quantities whose rate is beyond the bar by its one-sided bound, as a small edition can show.
     """
     nulls = {kind: [w for w in worlds if w.kind == kind] for kind in NULLS}
     single = [w for w in worlds if w.kind in SINGLE]
@@ -143,7 +143,9 @@ def score(worlds: Sequence[Scored]) -> dict[str, Any]:
         "seconds": _seconds(worlds),
         "each": [_each(world, error) for world, error in zip(worlds, errors, strict=True)],
     }
-    return {"bars": _bars(tables, single, soft)} | tables
+    bars = _bars(tables, single, soft)
+    broken = [bar["quantity"] for bar in bars if bar["broken"]]
+    return {"bars": bars, "broken": broken} | tables
 
 
 def append_log(
@@ -161,13 +163,16 @@ def append_log(
 def rate(count: int, of: int) -> dict[str, Any]:
     """A rate with its exact (Clopper-Pearson) bounds."""
     if of == 0:
-        return {"count": 0, "of": 0, "rate": None, "low": None, "high": None, "lower_95": None}
+        bounds = dict.fromkeys(("rate", "low", "high", "lower_95", "upper_95"))
+        return {"count": 0, "of": 0, **bounds}
 
     def low(tail: float) -> float:
         return 0.0 if count == 0 else float(beta.ppf(tail, count, of - count + 1))
 
-    high = 1.0 if count == of else float(beta.ppf(0.975, count + 1, of - count))
-    bounds = {"low": low(0.025), "high": high, "lower_95": low(0.05)}
+    def high(tail: float) -> float:
+        return 1.0 if count == of else float(beta.ppf(1.0 - tail, count + 1, of - count))
+
+    bounds = {"low": low(0.025), "high": high(0.025), "lower_95": low(0.05), "upper_95": high(0.05)}
     return {"count": count, "of": of, "rate": count / of, **bounds}
 
 
@@ -501,7 +506,7 @@ def _bars(tables: Mapping[str, Any], single, soft) -> list[dict[str, Any]]:
     ]
 
 
-def _bar(quantity, figure, bar, stretch, met, of=None):
+def _bar(quantity, figure, bar, stretch, met, of=None, broken=None):
     return {
         "quantity": quantity,
         "figure": figure,
@@ -510,17 +515,28 @@ def _bar(quantity, figure, bar, stretch, met, of=None):
         "stretch": stretch,
         "met": None if figure is None else met(bar),
         "met_stretch": None if figure is None else met(stretch),
+        "broken": None if figure is None or of is None else broken(),
     }
 
 
 def _alarm(quantity, of, bar, stretch):
     """Broken when the one-sided 95 % lower bound of the rate lies above the bar."""
-    return _bar(quantity, of["rate"], bar, stretch, lambda limit: of["lower_95"] <= limit, of)
+
+    def met(limit):
+        return of["lower_95"] <= limit
+
+    return _bar(quantity, of["rate"], bar, stretch, met, of, lambda: not met(bar))
 
 
 def _at_least(quantity, of, bar, stretch):
-    return _bar(quantity, of["rate"], bar, stretch, lambda limit: of["rate"] >= limit, of)
+    def met(limit):
+        return of["rate"] >= limit
+
+    return _bar(quantity, of["rate"], bar, stretch, met, of, lambda: of["upper_95"] < bar)
 
 
 def _at_most(quantity, figure, bar, stretch, of=None):
-    return _bar(quantity, figure, bar, stretch, lambda limit: figure <= limit, of)
+    def met(limit):
+        return figure <= limit
+
+    return _bar(quantity, figure, bar, stretch, met, of, lambda: of["lower_95"] > bar)

@@ -13,7 +13,6 @@ import hashlib
 import io
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from functools import cached_property, partial
 from pathlib import Path
@@ -24,6 +23,7 @@ import yaml
 
 from pipeline.blind import independent, laboratory
 from pipeline.blind.outside import OUTSIDE
+from pipeline.blind.tasks import each
 from pipeline.blind.truth import (
     SENSORS,
     THETA,
@@ -120,11 +120,7 @@ def make_worlds(
     """
     indices = [*range(count), *range(HARD_NULLS, HARD_NULLS + 2 * hard_nulls)]
     one = partial(make_world, Path(root), Path(sealed_root), seed)
-    if workers == 1:
-        digests = [one(index) for index in indices]
-    else:
-        with ProcessPoolExecutor(workers) as pool:
-            digests = list(pool.map(one, indices))
+    digests = each("blind worlds, making them", one, indices, workers)
     names = [world_name(index) for index in indices]
     write_json(Path(root) / "hashes.json", dict(zip(names, digests, strict=True)))
     return names

@@ -1,7 +1,7 @@
 from snakemake.exceptions import WorkflowError
 
 from pipeline.config.messages import ConfigError
-from pipeline.workflow.catalog import Catalog, effects_digest, source_digest
+from pipeline.workflow.catalog import Catalog, blind_seed, effects_digest, source_digest
 
 try:
     CATALOG = Catalog(config)
