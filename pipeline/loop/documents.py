@@ -89,7 +89,12 @@ def effects_document(model: Model, outcome: Outcome, sd: np.ndarray) -> list[dic
     point = outcome.fit.point
     count = len(point.coordinates)
     document = []
-    for number, (evidence, probability) in enumerate(zip(outcome.added, outcome.sure, strict=True)):
+    for evidence, probability in zip(outcome.added, outcome.sure, strict=True):
+        found_in = (
+            one.attribution is not None and evidence in one.attribution.evidence
+            for one in outcome.rounds
+        )
+        number = list(found_in).index(True)
         keys: dict[str | None, dict] = {}
         for term in evidence.hypothesis.terms:
             place = point.terms.index(term)

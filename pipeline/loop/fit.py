@@ -14,7 +14,7 @@ MOST_STEPS = 80
 FIRST_DAMPING, MOST_DAMPING = 1.0, 1e3  # in units of an unknown's usual change
 CLOSE, ROUGHLY = 3e-5, 0.01  # drop of χ² that a step must promise
 FAR = 0.3  # of an unknown's scale: from there on the slopes of another point do not serve
-MOVED = 0.35  # likewise for the covariance
+MOVED = 0.5  # likewise for the covariance
 REFRESHES = 2  # times that the covariance follows the fit
 AMPLITUDE_PRIOR = 100.0  # sd of an amplitude's prior in a fit, in its scale: too wide to shrink it
 
@@ -44,15 +44,26 @@ class Fit:
 
 
 def calibrated(
-    model: Model, data: Data, start: Point, factors: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    model: Model,
+    data: Data,
+    start: Point,
+    factors: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    settled: bool = False,
 ) -> tuple[Fit, Noise]:
-    """Fit from `start`, then again with the covariance of what was found, until it stays."""
-    rough = noise(model, start, data, rough=True).scaled(factors)
-    found = fit(model, data, rough, start, close=ROUGHLY)
+    """Fit from `start`, then again with the covariance of what was found, until it stays.
+
+    `settled`: `start` is near the end already.
+    """
+    point, slopes = start, None
+    if not settled:
+        rough = noise(model, start, data, rough=True).scaled(factors)
+        found = fit(model, data, rough, start, close=ROUGHLY)
+        point, slopes = found.point, found.slopes
     for _ in range(REFRESHES):
-        reference = found.point
+        reference = point
         here = noise(model, reference, data).scaled(factors)
-        found = fit(model, data, here, reference, reference, found.slopes)
+        found = fit(model, data, here, reference, reference, slopes)
+        point, slopes = found.point, found.slopes
         if not _is_far(model, found.point, reference, MOVED):
             break
     return found, here

@@ -68,11 +68,17 @@ class Gate:
     threshold: float
     omnibus: float
     omnibus_p_value: float
+    largest_p_value: float
 
     @property
     def rejected(self) -> bool:
         """Whether the model lacks something."""
         return self.p_value <= self.alpha
+
+    @property
+    def points_somewhere(self) -> bool:
+        """Whether a candidate or a rule is among what rejects, not the sum of squares alone."""
+        return self.largest_p_value <= (1.0 - OMNIBUS) * self.alpha
 
 
 def projected(
@@ -125,7 +131,7 @@ def lack_of_fit(
     omnibus_p = (1.0 + np.sum(null_sums >= omnibus)) / (DRAWS + 1.0)
     if not directions:
         p = min(1.0, omnibus_p)
-        return Gate(0.0, p, alpha, (), np.zeros(0), np.ones(0), np.inf, omnibus, omnibus_p)
+        return Gate(0.0, p, alpha, (), np.zeros(0), np.ones(0), np.inf, omnibus, omnibus_p, 1.0)
     matrix, side = np.array(directions), np.array(signs)
     spread, null_spread = _beyond(seen, matrix, z), _beyond(seen, matrix, null)
     raw, null_raw = matrix @ z / spread, matrix @ null / null_spread
@@ -137,7 +143,16 @@ def lack_of_fit(
     p = min(1.0, p_largest / (1.0 - OMNIBUS), omnibus_p / OMNIBUS)
     threshold = float(np.quantile(null_largest, 1.0 - alpha * (1.0 - OMNIBUS)))
     return Gate(
-        largest, float(p), alpha, tuple(labels), scores, inflation, threshold, omnibus, omnibus_p
+        largest,
+        float(p),
+        alpha,
+        tuple(labels),
+        scores,
+        inflation,
+        threshold,
+        omnibus,
+        float(omnibus_p),
+        float(p_largest),
     )
 
 

@@ -117,6 +117,12 @@ class Point:
         """The same model elsewhere."""
         return Point(tuple(map(float, coordinates)), self.terms, tuple(map(float, amplitudes)))
 
+    def without(self, terms: Sequence[Term]) -> Point:
+        """With some terms taken out."""
+        pairs = zip(self.terms, self.amplitudes, strict=True)
+        kept = [(t, a) for t, a in pairs if t not in terms]
+        return Point(self.coordinates, tuple(t for t, _ in kept), tuple(a for _, a in kept))
+
     def with_terms(self, terms: Sequence[Term], amplitudes: Sequence[float]) -> Point:
         """With more terms."""
         return Point(

@@ -12,7 +12,7 @@ from pipeline.config.study import Study
 from pipeline.loop.attribution import SURE, Attribution, Evidence, attribute
 from pipeline.loop.covariance import Noise, restricted_likelihood_factors
 from pipeline.loop.data import Data
-from pipeline.loop.fit import Fit, calibrated, fit
+from pipeline.loop.fit import Fit, box, calibrated, fit
 from pipeline.loop.gate import Gate, Projected, lack_of_fit, projected
 from pipeline.loop.hypotheses import Hypothesis, catalogue, rules, terms_of
 from pipeline.loop.local_rules import rule_slopes
@@ -77,6 +77,7 @@ def close(
     rounds: list[Round] = []
     added: list[Evidence] = []
     sure: list[float] = []
+    dropped: list[str] = []
     found, here = begin or calibrated(model, data, model.start)
     while True:
         alpha = study.alpha * 0.5 ** len(rounds)
@@ -85,15 +86,46 @@ def close(
         _log(study, one)
         if one.attribution is None or len(added) >= study.max_effects:
             break
+        if len(rounds) > 2 * study.max_effects:  # what is taken out may come back, not for ever
+            break
         named = one.attribution.best
         probability = one.attribution.by_name[named.hypothesis.name]
-        if probability < SURE or named.refit is None:
+        if probability < SURE or named.refit is None or not one.gate.points_somewhere:
             break
         added.append(named)
         sure.append(probability)
-        found, here = calibrated(model, data, named.refit.point, one.noise.factors)
+        factors = one.noise.factors
+        found, here = calibrated(model, data, named.refit.point, factors, settled=True)
+        for number in _spoken_for_no_more(model, data, found, here, added):
+            dropped.append(added[number].hypothesis.label)
+            terms = added.pop(number).hypothesis.terms
+            sure.pop(number)
+            found, here = calibrated(model, data, found.point.without(terms), factors)
     verdict = _verdict(rounds[-1], added)
-    return Outcome(tuple(rounds), tuple(added), tuple(sure), (), verdict)
+    return Outcome(tuple(rounds), tuple(added), tuple(sure), tuple(dropped), verdict)
+
+
+def _spoken_for_no_more(
+    model: Model, data: Data, found: Fit, noise: Noise, added: Sequence[Evidence]
+) -> list[int]:
+    """Numbers of earlier additions, last first, whose evidence later ones have taken away."""
+    _, sd, _, _ = box(model, found.point)
+    whole = np.vstack([noise.whitened(found.slopes[data.use]), np.diag(1.0 / sd)])
+    covariance = np.linalg.pinv(whole.T @ whole)
+    count = len(found.point.coordinates)
+    gone = []
+    for number, evidence in enumerate(added[:-1]):
+        terms = evidence.hypothesis.terms
+        places = [found.point.terms.index(term) for term in terms]
+        tau = np.array([term.described.scale for term in terms])
+        neutral = np.array([term.described.neutral for term in terms])
+        a = (np.array(found.point.amplitudes)[places] - neutral) / tau
+        at = np.array(places) + count
+        information = np.linalg.pinv(covariance[np.ix_(at, at)] / np.outer(tau, tau))
+        occam = 0.5 * np.linalg.slogdet(np.eye(len(a)) + information)[1]
+        if 0.5 * a @ information @ a < occam:
+            gone.append(number)
+    return gone[::-1]
 
 
 def turn(
@@ -151,7 +183,7 @@ def _verdict(last: Round, added: Sequence[Evidence]) -> str:
         return "unknown_effect" if only_rules else "effect"
     if not last.gate.rejected:
         return "no_effect_detectable"
-    return "ambiguous"
+    return "ambiguous" if last.gate.points_somewhere else "unexplained"
 
 
 def _log(study: Study, one: Round) -> None:

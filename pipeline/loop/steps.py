@@ -15,8 +15,8 @@ import xarray as xr
 from pipeline import __version__
 from pipeline.config.load import resolved
 from pipeline.config.measured import MeasuredRow
+from pipeline.config.study import Shared
 from pipeline.effects import effects
-from pipeline.loop.attribution import Evidence
 from pipeline.loop.covariance import LEAST_FREEDOM, Noise, noise
 from pipeline.loop.data import Data
 from pipeline.loop.documents import (
@@ -102,6 +102,7 @@ def attribution(problem: Problem, start: xr.Dataset) -> tuple[dict[str, Any], li
         "verdict": outcome.verdict,
         "effects_added": effects_document(model, outcome, after),
         "candidate_set": last.attribution.smallest_set if last.attribution else [],
+        "dropped": list(outcome.dropped),
         "gate": gate_document(outcome),
         "candidates": candidates_document(first),
         "candidates_left": candidates_document(last),
@@ -119,8 +120,14 @@ def attribution(problem: Problem, start: xr.Dataset) -> tuple[dict[str, Any], li
             "calibrated": len(model.coordinates),
             "amplitudes": len(last.fit.point.terms),
         },
-        "baseline": {"point": point_document(first.fit.point)},
-        "final": {"point": point_document(last.fit.point)},
+        "baseline": {
+            "point": point_document(first.fit.point),
+            "expected": first.fit.expected[data.use],
+        },
+        "final": {
+            "point": point_document(last.fit.point),
+            "expected": last.fit.expected[data.use],
+        },
         "replicates_simulated": model.simulated,
     }
     return document, [round_dataset(problem, one) for one in outcome.rounds]
@@ -166,16 +173,12 @@ def closed(
 
     `measured` are all rows, held-out ones among them: they are read for the scores alone.
     """
-    study, model, data = problem.study, problem.model, problem.data
+    study, model = problem.study, problem.model
     points = {
         "before": point_from(found["baseline"]["point"]),
         "after": point_from(found["final"]["point"]),
     }
-    views = _own_calibration(problem, start, points)
-    calibration = {
-        name: errors(model, measured, data.use, expected[data.use])
-        for name, expected in views.items()
-    }
+    calibration = _own_errors(problem, measured, start, found)
     if problem.leaves_one_out:
         alone = replace(problem, model=model.alone())
         tasks = [partial(_fold, alone, fold, start, points) for fold in problem.folds]
@@ -198,6 +201,7 @@ def closed(
         "schema_version": SCHEMA_VERSION,
         "verdict": found["verdict"],
         "effects_added": found["effects_added"],
+        "dropped": found["dropped"],
         "candidate_set": found["candidate_set"],
         "gate": found["gate"],
         "candidates": found["candidates"],
@@ -227,11 +231,11 @@ def closed(
         "noise_floor": found["noise"],
         "held_out_is": _kind(problem),
         "folds": [
-            {key: fold[key] for key in ("name", "verdict", "added", "not_predictable", "error")}
+            {key: fold[key] for key in ("name", "verdict", "added", "not_predictable")}
             | {"error": _fold_error(model, measured, fold)}
             for fold in folds
         ],
-        "sharing": _sharing(problem, measured, start, found, folds),
+        "sharing": _sharing(problem, measured, points["after"], folds),
         "degrees_of_freedom": found["degrees_of_freedom"],
         "untestable_parameters": found["untestable_parameters"],
         "candidates_left": found["candidates_left"],
@@ -257,17 +261,18 @@ def closed(
     return document, predictions
 
 
-def _own_calibration(problem: Problem, start, points) -> dict[str, np.ndarray]:
-    """Expected rows of the fitted readings, by variant."""
+def _own_errors(problem: Problem, measured, start: xr.Dataset, found) -> dict[str, dict]:
+    """Errors on the fitted readings, by variant."""
     model, data = problem.model.only(problem.data.use), problem.data
-    found, here = resumed(problem, start)
-    expected = {"before": found.expected}
-    same = points["after"] == points["before"]
-    expected["after"] = found.expected if same else predicted(model, points["after"], data.use)
-    expected["recalibrated_only"] = _recalibrated(problem, data, found, data.use)
-    gp = found.expected.copy()
-    gp[data.use] += correction(model, data, here, found.residual, data.use)
-    return expected | {"gaussian_process": gp}
+    baseline, here = resumed(problem, start)
+    expected = {
+        "before": np.array(found["baseline"]["expected"]),
+        "after": np.array(found["final"]["expected"]),
+        "recalibrated_only": _recalibrated(problem, data, baseline, data.use)[data.use],
+    }
+    gp = correction(model, data, here, baseline.residual, data.use)
+    expected["gaussian_process"] = expected["before"] + gp
+    return {name: errors(model, measured, data.use, rows) for name, rows in expected.items()}
 
 
 def _fold(problem: Problem, fold: Fold, start: xr.Dataset, points) -> dict[str, Any]:
@@ -275,13 +280,12 @@ def _fold(problem: Problem, fold: Fold, start: xr.Dataset, points) -> dict[str, 
     study, model = problem.study, problem.model
     rows = predictable(problem, fold)
     left_out = sorted({int(model.case_of[i]) for i in fold.held_out if i not in rows})
-    outcome = None
     if problem.leaves_one_out:
         data = subset(problem, fold.fitted)
         outcome = close(study, model, data)
         first, last = outcome.rounds[0], outcome.rounds[-1]
         before, here, ends = first.fit, first.noise, (first.fit.point, last.fit.point)
-        verdict, added = outcome.verdict, [_said(e) for e in outcome.added]
+        verdict, added = outcome.verdict, [e.hypothesis.label for e in outcome.added]
     else:
         data = problem.data
         before, here = resumed(problem, start)
@@ -306,14 +310,8 @@ def _fold(problem: Problem, fold: Fold, start: xr.Dataset, points) -> dict[str, 
         "verdict": verdict,
         "added": added,
         "not_predictable": [model.cases[case].experiment.name for case in left_out],
-        "error": None,
         "data": data,
-        "outcome": outcome,
     }
-
-
-def _said(evidence: Evidence) -> str:
-    return evidence.hypothesis.label
 
 
 def _recalibrated(problem: Problem, data: Data, before: Fit, rows) -> np.ndarray:
@@ -323,18 +321,17 @@ def _recalibrated(problem: Problem, data: Data, before: Fit, rows) -> np.ndarray
     """
     if problem.study.parameters:
         return before.expected
-    from pipeline.config.study import Shared
-
     model = problem.model
     free = Model(model.cases, (Shared(name="E", shared_by="material"),), model.execution)
     found, _ = calibrated(free.only(data.use), data, free.start)
     return predicted(free, found.point, rows)
 
 
-def _sharing(problem, measured, start, found, folds) -> list[dict[str, Any]]:
+def _sharing(
+    problem: Problem, measured: Sequence[MeasuredRow], after: Point, folds: Sequence[dict]
+) -> list[dict[str, Any]]:
     """Each added effect with several values once more with one value for the whole study."""
-    study, model, data = problem.study, problem.model, problem.data
-    after = point_from(found["final"]["point"])
+    model, data = problem.model, problem.data
     alternatives = []
     for name in dict.fromkeys(t.effect for t in after.terms):
         keys = [t for t in after.terms if t.effect == name]
@@ -345,7 +342,7 @@ def _sharing(problem, measured, start, found, folds) -> list[dict[str, Any]]:
         fitted = {}
         for label, fold_data in (("calibration", data), *_fold_data(problem, folds)):
             view = model.only(fold_data.use)
-            fitted[label] = calibrated(view, fold_data, _shared_point(model, after, name))[0].point
+            fitted[label] = calibrated(view, fold_data, _shared_point(after, name))[0].point
         expected = predicted(model, fitted["calibration"], data.use)
         entry = {
             "name": name,
@@ -375,7 +372,6 @@ def _sharing(problem, measured, start, found, folds) -> list[dict[str, Any]]:
             part = predicted(model, fitted["calibration"], rows)[rows]
             entry["held_out"] = errors(model, measured, rows, part)
         alternatives.append(entry)
-    del study, start
     return alternatives
 
 
@@ -384,7 +380,7 @@ def _fold_data(problem: Problem, folds):
         yield from ((fold["name"], fold["data"]) for fold in folds)
 
 
-def _shared_point(model: Model, point: Point, name: str) -> Point:
+def _shared_point(point: Point, name: str) -> Point:
     """The same terms, those of one effect joined to one value for the study."""
     kept = [(t, a) for t, a in zip(point.terms, point.amplitudes, strict=True) if t.effect != name]
     own = [(t, a) for t, a in zip(point.terms, point.amplitudes, strict=True) if t.effect == name]
@@ -393,7 +389,6 @@ def _shared_point(model: Model, point: Point, name: str) -> Point:
         cases = tuple(sorted({case for t, _ in same for case in t.cases}))
         joined = Term(name, parameter, "study", None, cases)
         kept.append((joined, float(np.mean([a for _, a in same]))))
-    del model
     return Point(point.coordinates, tuple(t for t, _ in kept), tuple(float(a) for _, a in kept))
 
 
