@@ -54,9 +54,8 @@ class Parameters:
             return np.full(height.shape, 1.0 - self.E)
         factor = math.exp(self.E_min_shift)
         if isinstance(self.E_min, EMinTable):
-            return np.minimum(
-                factor * (1.0 - np.interp(height, self.E_min.height, self.E_min.value)), 1.0
-            )
+            shed = factor * (1.0 - np.array(self.E_min.value))
+            return np.interp(height, self.E_min.height, np.clip(shed, 1.0 - self.E, 1.0))
         law = self.E_min
         relative = np.maximum(height, self.cell_size) / law.at_height
         shed = factor * (1.0 - law.value) * relative**-law.exponent

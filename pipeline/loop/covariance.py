@@ -14,7 +14,7 @@ from pipeline.loop.model import Model, Point
 SHRINK = 0.1  # of the replicates' covariance to its diagonal
 LEAST_FREEDOM = 10  # degrees of freedom from which the components are estimated
 COMPONENTS = ("scatter", "shared", "independent")
-PRIOR_SD = 0.5  # of the logarithm of a component's sd about what was declared
+PRIOR_SD = 0.25  # of the logarithm of a component's sd about what was declared
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from pipeline.config.measured import QUANTITIES, MeasuredRow
+from pipeline.effects import effects
 from pipeline.effects.local_rule import in_words
 from pipeline.loop.certificate import certificate
 from pipeline.loop.covariance import COMPONENTS, Noise
@@ -167,8 +168,11 @@ def gate_document(outcome: Outcome) -> list[dict[str, Any]]:
     ]
 
 
-def candidates_document(one: Round) -> list[dict[str, Any]]:
-    """One entry for each name of the catalogue and hypothesis of it, best first."""
+def candidates_document(one: Round, untried: Mapping[str, str]) -> list[dict[str, Any]]:
+    """One entry for each name of the catalogue and hypothesis of it, best first.
+
+    `untried` are the names that no hypothesis stands for, with the reason.
+    """
     probabilities = {}
     if one.attribution is not None:
         pairs = zip(one.attribution.evidence, one.attribution.probabilities, strict=True)
@@ -197,7 +201,29 @@ def candidates_document(one: Round) -> list[dict[str, Any]]:
                 "why": entry.why,
             }
         )
-    return sorted(entries, key=lambda e: (-(e["probability"] or 0.0), -e["score"]))
+    entries.sort(key=lambda e: (-(e["probability"] or 0.0), -e["score"]))
+    return entries + [_untried_entry(name, why) for name, why in untried.items()]
+
+
+def _untried_entry(name: str, why: str) -> dict[str, Any]:
+    effect = effects()[name]
+    return {
+        "name": name,
+        "label": name,
+        "kind": effect.kind,
+        "scope": effect.scope,
+        "scope_key": None,
+        "probability": None,
+        "score": 0.0,
+        "surviving_fraction": 0.0,
+        "minimal_detectable": None,
+        "unit": effect.parameters[0].unit,
+        "nearest_mimic": None,
+        "mimic_distance": None,
+        "alike": [],
+        "testable": False,
+        "why": why,
+    }
 
 
 def evidence_document(one: Round) -> dict[str, Any] | None:

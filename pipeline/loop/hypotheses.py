@@ -63,6 +63,33 @@ def catalogue(study: Study, model: Model, use: Sequence[int]) -> list[Hypothesis
     return _with_priors(found)
 
 
+def untried(study: Study, model: Model, use: Sequence[int]) -> dict[str, str]:
+    """Effects that the study names and no reading can be asked about, with the reason."""
+    names = effects() if study.candidates == "all" else study.candidates
+    why = {}
+    for name in sorted(set(names)):
+        effect = effects()[name]
+        if effect.kind == "rule":
+            continue
+        if not effect.moves_mean:
+            why[name] = "it changes the scatter from packing to packing alone, no mean reading"
+        elif not _groups(study, model, name, study.scopes.get(name, effect.scope), use):
+            why[name] = _why_not(study, model, name)
+    return why
+
+
+def _why_not(study: Study, model: Model, name: str) -> str:
+    effect, experiments = effects()[name], [case.experiment for case in model.cases]
+    if all(name in one.effects for one in experiments):
+        return "the experiments declare it: it is part of the model"
+    if effect.scope == "load_cell":
+        return "no load cell has read these values"
+    missing = {key for one in experiments for key in lacking(effect, one, effect.neutral)}
+    return (
+        f"it needs {', '.join(sorted(missing))}" if missing else "no reading is of its experiments"
+    )
+
+
 def rules(study: Study, model: Model) -> list[Hypothesis]:
     """Every local rule, on every channel, for the whole study."""
     if study.candidates != "all" and "local_rule" not in study.candidates:

@@ -80,7 +80,13 @@ def _stress(experiment: Experiment, parameters: Parameters) -> dict[str, Any]:
             return min(max(1.0 - factor * (1.0 - value), 0.0), parameters.E)
 
         value = law["value"]
-        law["value"] = [shifted(v) for v in value] if isinstance(value, list) else shifted(value)
+        if isinstance(value, list):
+            law["value"] = [shifted(v) for v in value]
+        else:
+            law["value"] = shifted(value)
+            if law["value"] in (0.0, parameters.E) and law["exponent"] and value < 1.0:
+                left = factor * (1.0 - value) / (1.0 - law["value"])  # what the bounds cut off
+                law["at_height"] *= left ** (1.0 / law["exponent"])
         stress["E_min"] = law
     return stress
 

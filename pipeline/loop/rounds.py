@@ -133,12 +133,11 @@ def turn(
 ) -> Round:
     """One round at a calibrated model: derivatives, noise, gate, attribution."""
     hypotheses = [*catalogue(study, model, data.use), *rules(study, model)]
-    taken = {t.label for t in found.point.terms}
     ruled = any(t.effect == "local_rule" for t in found.point.terms)
     hypotheses = [
         h
         for h in hypotheses
-        if not taken & {t.label for t in h.terms} and not (ruled and h.kind == "rule")
+        if not any(_is_there(t, found.point) for t in h.terms) and not (ruled and h.kind == "rule")
     ]
     by_effect = [h for h in hypotheses if h.kind != "rule"]
     by_rule = [h for h in hypotheses if h.kind == "rule"]
@@ -156,10 +155,20 @@ def turn(
     random = random_stream(0, study.name, LOOP_NULL, number)
     gate = lack_of_fit(seen, noise, hypotheses, alpha, random)
     found_out = None
-    if gate.rejected:
+    if gate.rejected and gate.labels:
         inflation = max(1.0, float(np.mean(gate.inflation)))
         found_out = attribute(model, data, noise, found, seen, hypotheses, inflation)
     return Round(found, noise, tuple(hypotheses), seen, gate, found_out, freedom)
+
+
+def _is_there(term: Term, point: Point) -> bool:
+    """Whether a term of the point sets the same value somewhere."""
+    return any(
+        (term.effect, term.parameter, term.options) == (one.effect, one.parameter, one.options)
+        and set(term.cases) & set(one.cases)
+        and (one.scope != "load_cell" or term.key == one.key)
+        for one in point.terms
+    )
 
 
 def _slopes(model: Model, point: Point, terms: Sequence[Term]) -> np.ndarray:

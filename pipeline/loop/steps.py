@@ -34,6 +34,7 @@ from pipeline.loop.documents import (
 )
 from pipeline.loop.fit import Fit, calibrated, fit
 from pipeline.loop.gaussian_process import correction
+from pipeline.loop.hypotheses import untried
 from pipeline.loop.model import Model, Point, Term
 from pipeline.loop.next_measurement import next_measurements
 from pipeline.loop.problem import Fold, Problem, predictable, subset
@@ -94,6 +95,7 @@ def attribution(problem: Problem, start: xr.Dataset) -> tuple[dict[str, Any], li
     study, model, data = problem.study, problem.model, problem.data
     outcome = close(study, model, data, resumed(problem, start))
     first, last = outcome.rounds[0], outcome.rounds[-1]
+    left_out = untried(study, model, data.use)
     before, after = (standard_deviations(model, data, one) for one in (first, last))
     additions = next_measurements(model.only(data.use), data, last, last.gate.threshold)
     document = {
@@ -104,8 +106,8 @@ def attribution(problem: Problem, start: xr.Dataset) -> tuple[dict[str, Any], li
         "candidate_set": last.attribution.smallest_set if last.attribution else [],
         "dropped": list(outcome.dropped),
         "gate": gate_document(outcome),
-        "candidates": candidates_document(first),
-        "candidates_left": candidates_document(last),
+        "candidates": candidates_document(first, left_out),
+        "candidates_left": candidates_document(last, left_out),
         "evidence": [evidence_document(one) for one in outcome.rounds],
         "local_rules": rules_document(outcome),
         "parameters": {

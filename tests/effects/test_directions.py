@@ -53,6 +53,7 @@ DIRECTIONS = {
         ("filling", {}, mean_of(WEST), +1),
         ("pillar", {}, at(0, ZONE), +1),
     ],
+    "local_rule": [("filling", {}, mean_of(WEST), -1), ("pillar", {}, mean_of(OUTER), -1)],
     "loosening_density": [("pillar", {}, mean_of(ZONE), -1)],
     "packing_variability": [("filling", {}, spread_over_replicates, +1)],
     "pillar_relaxation": [("pillar", {}, mean_of(PILLAR), +1), ("pillar", {}, mean_of(ZONE), -1)],
