@@ -41,8 +41,8 @@ class Scored:
 
     `predictions` are rows of the held-out predictions, each with experiment, load_cell,
     fill_height, mass_drawn, quantity, and before, after, recalibrated_only, gaussian_process in
-    kPa. `peers` holds the claims of other methods by their names, in order; `seconds` the time
-    that the loop took.
+    kPa. `peers` holds the claims of other methods by their names, in order; `seconds` the
+    processor time that the loop took.
     """
 
     truth: Mapping[str, Any]
@@ -502,7 +502,7 @@ def _bars(tables: Mapping[str, Any], single, soft) -> list[dict[str, Any]]:
             0.85,
         ),
         _at_least("two effects, both with delta of at least 5: exact set", two, 0.70, 0.85),
-        _at_most("one data set, one core, median seconds", seconds, 10.0, 3.0),
+        _at_most("one data set, one core, median processor seconds", seconds, 10.0, 3.0),
     ]
 
 

@@ -142,7 +142,12 @@ def make_world(root: Path, sealed_root: Path, seed: int, index: int, **replaced:
 
 
 def scoring_seed(commit: str) -> int:
-    """The seed with which a commit is scored, so that nobody can tune on its worlds."""
+    """The seed with which a commit is scored, so that nobody can tune on its worlds.
+
+    Raises ValueError where the commit is unknown.
+    """
+    if commit == "unknown":
+        raise ValueError("no git checkout, so no commit to score: give the worlds a seed")
     return int.from_bytes(hashlib.sha256(commit.encode()).digest()[:6], "big")
 
 

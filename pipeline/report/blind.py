@@ -192,11 +192,7 @@ def confusion_tables(scores: Mapping[str, Any], data: Data) -> list[Table]:
 
 def _confusion(name: str, words: str, matrix: Mapping[str, Mapping[str, int]], data) -> Table:
     said = sorted({column for row in matrix.values() for column in row})
-    caption = (
-        f"{words}: truth (rows) against what the loop said (columns): the first effect that it "
-        "named, or its verdict. Elsewhere: the right name, for another material or load cell."
-    )
-    table = Table(name.replace(" ", "_"), caption, ["Truth", *map(_words, said)], data)
+    table = Table(name.replace(" ", "_"), f"{words}.", ["Truth", *map(_words, said)], data)
     for truth, row in matrix.items():
         cells = [
             table.number(truth, column, row[column], 0) if column in row else "" for column in said
@@ -475,6 +471,6 @@ def provenance_table(scores: Mapping[str, Any], data: Data) -> Table:
     for name, count in counts.items():
         table.rows.append([name, [table.number(name, "value", count, 0)]])
     for key, value in (scores["seconds"] or {}).items():
-        name = f"seconds of the loop on one world, {key}"
+        name = f"processor seconds of the loop on one world, {key}"
         table.rows.append([name, [table.number(name, "value", value, 1)]])
     return table

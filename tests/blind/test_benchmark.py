@@ -7,14 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.blind import benchmark, laboratory, worlds
-from pipeline.blind.benchmark import close_world, run_benchmark, run_worlds
+from pipeline.blind import laboratory, loops, worlds
+from pipeline.blind.benchmark import run_benchmark, score_benchmark
+from pipeline.blind.loops import close_world, run_worlds
 from pipeline.blind.scores import SealBrokenError
 from pipeline.blind.seal import SealedError, sealed
 from pipeline.blind.tasks import each
 from pipeline.files.atomic import read_json
 from pipeline.loop import gate, model
 from pipeline.report.blind import write_blind_report
+from pipeline.workflow.catalog import blind_seed
 
 SEED = 4
 COLUMNS = ("static_1", "static_5", "static_7", "static_8")
@@ -60,13 +62,13 @@ def counted(monkeypatch, edition) -> list[str]:
         ran.append(folder.name)
         return documents(edition[0], folder.name), None
 
-    monkeypatch.setattr(benchmark, "_closed_loop", found_before)
-    monkeypatch.setattr(benchmark, "peer_claims", lambda first: {})
+    monkeypatch.setattr(loops, "_closed_loop", found_before)
+    monkeypatch.setattr(loops, "peer_claims", lambda first: {})
     return ran
 
 
 def documents(folder, world):
-    return {n: read_json(folder / "worlds" / world / f"{n}.json") for n in benchmark.RESULTS}
+    return {n: read_json(folder / "worlds" / world / f"{n}.json") for n in loops.RESULTS}
 
 
 def test_every_world_is_scored_and_logged(edition):
@@ -110,13 +112,13 @@ def test_the_loop_says_the_same_whatever_the_truth_is(edition, copied, spoil):
 
 
 def test_the_loop_cannot_open_the_truth(copied, monkeypatch):
-    run = benchmark._closed_loop
+    run = loops._closed_loop
 
     def peeking(folder):
         (folder.parents[1] / "sealed" / f"{folder.name}.json").read_text()
         return run(folder)
 
-    monkeypatch.setattr(benchmark, "_closed_loop", peeking)
+    monkeypatch.setattr(loops, "_closed_loop", peeking)
     world = copied / "worlds" / NAMES[0]
     (world / "run.json").unlink()
     with pytest.raises(SealedError, match=f"sealed/{NAMES[0]}.json"):
@@ -168,7 +170,7 @@ def test_scores_refuse_a_truth_that_was_changed(copied):
     truth = copied / "sealed" / f"{NAMES[0]}.json"
     truth.write_text(truth.read_text() + " ")
     with pytest.raises(SealBrokenError):
-        benchmark.score_benchmark(copied)
+        score_benchmark(copied)
 
 
 def test_the_page_lists_every_world_and_says_that_the_edition_is_small(edition):
@@ -182,6 +184,18 @@ def test_the_page_lists_every_world_and_says_that_the_edition_is_small(edition):
         assert f'href="worlds/{name}/closed_loop.json"' in html
     for bar in scores["bars"]:
         assert bar["quantity"] in html
+
+
+def test_a_seed_is_the_commits_own_unless_one_is_given(monkeypatch):
+    assert blind_seed({"blind_seed": 7}) == blind_seed({"blind_seed": "7"}) == 7
+    own = []
+    for commit in ("a" * 40, "b" * 40):
+        monkeypatch.setattr("pipeline.files.netcdf.git_revision", lambda commit=commit: commit)
+        own.append(blind_seed({"blind_seed": None}))
+        assert own[-1] == worlds.scoring_seed(commit)
+    assert len(set(own)) == 2
+    with pytest.raises(ValueError, match="git checkout"):
+        worlds.scoring_seed("unknown")
 
 
 def _halves(item: int) -> float:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from pipeline.blind.benchmark import run_worlds
+from pipeline.blind.loops import run_worlds
 from pipeline.workflow.job import log_to
 
 log_to(snakemake.log[0])
