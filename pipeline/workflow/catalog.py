@@ -33,9 +33,10 @@ class Catalog:
         own = {key: str(config[key]).rstrip("/") == folder for key, folder in OWN.items()}
         self._known = load_experiments(Path(str(config["experiments_dir"])))
         self.experiments, self.studies = self._known, {}
-        if own["studies_dir"] and not own["experiments_dir"]:
+        folder = Path(str(config["studies_dir"]))
+        if own["studies_dir"] and not (own["experiments_dir"] and any(folder.glob("*.y*ml"))):
             return
-        self.studies = load_studies(Path(str(config["studies_dir"])), self._known)
+        self.studies = load_studies(folder, self._known)
         if not own["studies_dir"] and own["experiments_dir"]:
             named = {name for study in self.studies.values() for name in study.experiments}
             named |= {one.name for name in named for one in sources(self._known[name], self._known)}
