@@ -13,6 +13,7 @@ include: "pipeline/workflow/rules/flow_law.smk"
 include: "pipeline/workflow/rules/effects.smk"
 include: "pipeline/workflow/rules/studies.smk"
 include: "pipeline/workflow/rules/index.smk"
+include: "pipeline/workflow/rules/blind_benchmark.smk"
 
 
 rule all:

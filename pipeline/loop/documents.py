@@ -318,6 +318,9 @@ def round_dataset(problem: Problem, one: Round) -> xr.Dataset:
         "reference": json.dumps(point_document(one.fit.reference)),
         "noise_factors": json.dumps([float(f) for f in one.noise.factors]),
         "coordinates": json.dumps([c.label for c in model.coordinates]),
+        "terms": json.dumps(
+            [{"effect": t.effect, "parameter": t.parameter, "key": t.key} for t in one.seen.terms]
+        ),
     }
     content = {
         "residual": ("reading", one.fit.residual),

@@ -109,6 +109,16 @@ def source_digest(script: str) -> str:
     return _digest_with_imports(PACKAGE / "workflow" / "scripts" / f"{script}.py")
 
 
+def blind_seed(config: Mapping[str, object]) -> int:
+    """Seed of the blind benchmark's worlds: the one given, or that of the commit under test."""
+    if config["blind_seed"] is not None:
+        return int(str(config["blind_seed"]))
+    from pipeline.blind.worlds import scoring_seed
+    from pipeline.files.netcdf import git_revision
+
+    return scoring_seed(git_revision())
+
+
 def effects_digest() -> str:
     """Digest of all effects: they are found by being in their folder, not by an import."""
     modules = sorted((PACKAGE / "effects").glob("*.py"))

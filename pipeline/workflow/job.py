@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import logging
-import os
 import sys
 from pathlib import Path
-
-for _library in ("NUMBA", "OMP", "OPENBLAS", "MKL"):  # Dask's threads are a job's only parallelism
-    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 
 def log_to(path: str | Path) -> None:

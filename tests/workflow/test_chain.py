@@ -156,3 +156,24 @@ def test_a_failing_job_says_why_and_leaves_no_output(fresh):
     assert not (fresh.folder / target).exists()
     log = fresh.folder / "results/logs/experiments/beta/block_model.log"
     assert "is not readable as netCDF" in log.read_text()
+
+
+def test_the_blind_benchmark_is_a_target_and_no_part_of_everything(fresh):
+    asked = fresh.snakemake(
+        "--dry-run", "blind_benchmark", "--config", "blind_worlds=3", "blind_seed=1"
+    )
+    assert asked.returncode == 0, asked.stdout
+    assert "Blind benchmark: 3 worlds" in asked.stdout
+    assert "block_model" not in asked.stdout
+    assert "Blind benchmark" not in fresh.snakemake("--dry-run").stdout
+
+
+def test_linear_algebra_gets_one_thread_in_a_job(fresh):
+    fresh.edit(
+        "pipeline/workflow/scripts/flow_law.py",
+        lambda text: (
+            "import os, sys\nprint({v for k, v in os.environ.items() "
+            "if k.endswith('BLAS_NUM_THREADS')})\nsys.exit('stop')\n" + text
+        ),
+    )
+    assert "{'1'}" in fresh.snakemake("results/flow_law/flow_law.json").stdout

@@ -1,13 +1,19 @@
 from snakemake.exceptions import WorkflowError
 
 from pipeline.config.messages import ConfigError
-from pipeline.workflow.catalog import Catalog, effects_digest, source_digest
+from pipeline.workflow.catalog import Catalog, blind_seed, effects_digest, source_digest
 
 try:
     CATALOG = Catalog(config)
 except ConfigError as error:
     raise WorkflowError(str(error)) from None
 RESULTS = CATALOG.results
+
+# A job's threads are its replicates or processes. Snakemake tells linear algebra to use as many
+# again, which makes jobs several times slower, so a script starts with one for each library.
+shell.prefix(
+    "export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMBA_NUM_THREADS=1; "
+)
 
 
 pathvars:
