@@ -106,8 +106,8 @@ def stress_sweep_reference(
 
 
 def _bent(fraction, load, coupling, cap=1.0):
-    """1 − E of a cell under its load."""
-    if coupling.slope == 0.0 or load == 0.0:
+    """1 − E of a cell under its load; rounding may leave a cell that handed all aside below 0."""
+    if coupling.slope == 0.0 or load <= 0.0:
         return float(fraction)
     return min(float(fraction) * (load / coupling.reference) ** coupling.slope, cap)
 

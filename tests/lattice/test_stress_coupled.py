@@ -109,6 +109,19 @@ def test_a_cell_hands_aside_no_more_than_it_carries():
     np.testing.assert_allclose(everything, [[1, 3, 1], [3, 0, 3], [1, 3, 1]])
 
 
+def test_a_cell_that_handed_all_aside_and_rounds_below_zero_sheds_nothing():
+    code = np.full((2, 3, 3), 1, np.int8)
+    code[1, 1, 1], code[1, 0, 1] = MOVEMENT, MOVEMENT  # three faces on stagnant ground
+    state = uniform_state(code.shape, 0.9, 2.0)
+    weight = np.where(code == MOVEMENT, 2.1, 1.0)
+    state = replace(state, code=code, weight=weight)
+    coupling = UNCOUPLED._replace(cohesion=1e3, slope=-0.04, reference=5.0)
+    load, base_load, total, shed = swept(state, coupling)
+    expected = stress_sweep_reference(*state.arguments(), coupling)
+    for found, wanted in zip((load, base_load, shed), expected, strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-10 * total)
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_lean_shifts_the_center_of_a_point_load(axis):
     state = uniform_state((6, 15, 15), 1.0, 2.0)
