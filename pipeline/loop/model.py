@@ -7,7 +7,6 @@ numbers; nothing here knows a measured value.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
@@ -182,17 +181,19 @@ class Model:
         rows = self._readers[case].sensed(values, replace(setup, effects=()))
         return FEW if np.ptp(rows, axis=0).max() <= SAME * rows.max() else CRN
 
+    def _view(self, **replaced) -> Model:
+        """The same model with other attributes, and what either remembers in common."""
+        view = object.__new__(Model)
+        view.__dict__ = self.__dict__ | replaced
+        return view
+
     def alone(self) -> Model:
         """The same model for a process of its own, without workers."""
-        view = copy(self)
-        view.execution = Execution()
-        return view
+        return self._view(execution=Execution())
 
     def only(self, rows: Sequence[int]) -> Model:
         """The same model, which simulates nothing but the cases of some rows: others are NaN."""
-        view = copy(self)
-        view.active = tuple(sorted({int(self.case_of[i]) for i in rows}))
-        return view
+        return self._view(active=tuple(sorted({int(self.case_of[i]) for i in rows})))
 
     # -- points ------------------------------------------------------------------------------
 
