@@ -29,8 +29,10 @@ from pipeline.lattice.cells import OUTSIDE, STAGNANT
 from pipeline.lattice.flow import (
     DRAWN_CELLS,
     HANG_UPS,
+    FlowState,
     climb_chances,
     draw_to,
+    draw_visits,
     new_flow_state,
     zone_geometry,
 )
@@ -39,6 +41,7 @@ from pipeline.lattice.stress import (
     UNCOUPLED,
     Coupling,
     place_cells,
+    read_base,
     spreading_weights,
     stress_sweep,
 )
@@ -118,7 +121,8 @@ class Setup:
     footprints : (load_cell, y, x) float64, share of each base cell in a load cell's reading
     fill_levels : m, one for each time of a static experiment; empty in a draw experiment
     masses : kg drawn at each time of a draw experiment; empty in a static one
-    openings : base cells (n, 3) of each drawpoint, as (z, y, x) indices
+    undisturbed : the flow's state before draw; None in a static experiment
+    visits : (visit) index of the drawpoint and scheduled mass in kg at the visit's end
     to_the_end : whether draw goes on after the last reading, to the schedule's end
     true_levels : m, the heights that `fill_levels` are in truth, where effects say so
     effects : in the order in which they act
@@ -132,7 +136,8 @@ class Setup:
     footprints: np.ndarray
     fill_levels: tuple[float, ...]
     masses: tuple[float, ...]
-    openings: tuple[np.ndarray, ...]
+    undisturbed: FlowState | None
+    visits: tuple[np.ndarray, np.ndarray]
     to_the_end: bool = True
     true_levels: tuple[float, ...] = ()
     effects: tuple[Active, ...] = ()
@@ -206,6 +211,8 @@ def make_setup(
         footprints = np.array([_footprint(lattice, base, cell) for cell in experiment.load_cells])
     else:
         footprints = (base / base.sum())[None]
+    openings = list(_openings(experiment, lattice, code))
+    drawpoints, ends = zip(*visits(experiment), strict=True) if experiment.is_draw else ((), ())
     return Setup(
         experiment=experiment,
         lattice=lattice,
@@ -215,7 +222,8 @@ def make_setup(
         footprints=footprints,
         fill_levels=levels,
         masses=reading_masses(experiment, rows) if experiment.is_draw else (),
-        openings=tuple(_openings(experiment, lattice, code)) if experiment.is_draw else (),
+        undisturbed=new_flow_state(code, openings) if experiment.is_draw else None,
+        visits=(np.array(drawpoints, dtype=np.int64), np.array(ends, dtype=np.float64)),
         true_levels=true_levels,
         effects=active,
     )
@@ -337,7 +345,8 @@ def record_flow(
     It hangs on the flow parameters and on the cells' masses alone: not on E, s, R or E_min, nor
     on effects that change no mass.
     """
-    flow = _Flow(setup, parameters, _Ground(setup, parameters, packing).cell_mass, flow)
+    cell_mass = _mass_of(_packing(setup, parameters, packing))
+    flow = _Flow(setup, parameters, cell_mass, flow)
     copied = tuple(
         Snapshot(*(part.copy() if isinstance(part, np.ndarray) else part for part in now))
         for now in flow
@@ -355,31 +364,25 @@ class _Flow:
     def __init__(self, setup, parameters, cell_mass, flow):
         self._setup, self._parameters = setup, parameters
         self._cell_mass, self._stream = cell_mass, flow
-        self._state = new_flow_state(setup.code, setup.openings)
-        self._shortfall = np.zeros(len(setup.openings))
+        self._state = FlowState(*(part.copy() for part in setup.undisturbed))
+        self._shortfall = np.zeros(len(setup.experiment.drawpoints))
 
     def __iter__(self) -> Iterator[Snapshot]:
-        setup, state = self._setup, self._state
+        setup, state, mass = self._setup, self._state, self._cell_mass
         arguments = climb_chances(self._parameters.exponent), self._parameters.bulking, self._stream
-        missing = 0.0
-        t = 0
-        while t < setup.times and setup.masses[t] <= 0.0:
+        drawpoints, ends = setup.visits
+        done, missing = 0, 0.0
+        for target in setup.masses:
+            here = int(np.searchsorted(ends, target))  # the visit during which it is read
+            visited = drawpoints[done:here], ends[done:here]
+            missing = draw_visits(state, mass, *visited, missing, self._shortfall, *arguments)
+            if here < len(ends):
+                draw_to(state, mass, int(drawpoints[here]), target - missing, *arguments)
+            done = here
             yield self._snapshot()
-            t += 1
-        for drawpoint, end in visits(setup.experiment):
-            while t < setup.times and setup.masses[t] <= end:
-                target = setup.masses[t] - missing
-                draw_to(state, self._cell_mass, drawpoint, target, *arguments)
-                yield self._snapshot()
-                t += 1
-            if t == setup.times and not setup.to_the_end:
-                return
-            short = draw_to(state, self._cell_mass, drawpoint, end - missing, *arguments)
-            self._shortfall[drawpoint] += short
-            missing += short
-        while t < setup.times:
-            yield self._snapshot()
-            t += 1
+        if setup.to_the_end:
+            visited = drawpoints[done:], ends[done:]
+            draw_visits(state, mass, *visited, missing, self._shortfall, *arguments)
 
     def _snapshot(self) -> Snapshot:
         state = self._state
@@ -461,28 +464,13 @@ class _Ground:
     def __init__(self, setup: Setup, parameters: Parameters, packing: np.random.Generator):
         self._setup, self._parameters, self._rng = setup, parameters, packing
         self._dtype = setup.cell_weight.dtype
-        weight = setup.cell_weight
-        cells = Packing(
-            experiment=setup.experiment,
-            lattice=setup.lattice,
-            ground=setup.code.ravel() == STAGNANT,
-            weight=weight,
-            shed_fraction=np.full(weight.shape, 1.0 - parameters.E, dtype=self._dtype),
-            s_shift=0.0,
-            persistence=0.0,
-            random=packing,
-        )
-        if setup.acts_on("packing"):
-            cells = apply(setup.effects, "packing", replace(cells, random=packing.spawn(1)[0]))
-            stored = {n: getattr(cells, n).astype(self._dtype) for n in ("weight", "shed_fraction")}
-            cells = replace(cells, **stored)
-        self.cells = cells
-        s = self._draw(setup.code.shape, np.arange(weight.size).reshape(setup.code.shape))
+        self.cells = _packing(setup, parameters, packing)
+        self.cell_mass = _mass_of(self.cells)
+        s = self._draw(setup.code.shape, np.arange(setup.code.size).reshape(setup.code.shape))
         self.edge, self.corner = spreading_weights(s, self._rule, self._dtype)
         ground = setup.code == STAGNANT
         self.negative_share = np.count_nonzero(ground & (s < 0)) / np.count_nonzero(ground)
-        self.cell_mass = cells.weight.astype(np.float64) / GRAVITY
-        self._increments = np.array([0.0, *(end for _, end in visits(setup.experiment))])
+        self._increments = np.concatenate([[0.0], setup.visits[1]])
         self._drawn = 0.0  # increments so far, and when the cell at each place came
         self._came = np.zeros(setup.code.shape)
 
@@ -536,6 +524,31 @@ class _Ground:
             **cells._asdict(),
         )
         return apply(self._setup.effects, "state", state)
+
+
+def _packing(setup: Setup, parameters: Parameters, packing: np.random.Generator) -> Packing:
+    """The cells of a replicate, as effects leave them."""
+    weight = setup.cell_weight
+    cells = Packing(
+        experiment=setup.experiment,
+        lattice=setup.lattice,
+        ground=setup.code.ravel() == STAGNANT,
+        weight=weight,
+        shed_fraction=np.full(weight.shape, 1.0 - parameters.E, dtype=weight.dtype),
+        s_shift=0.0,
+        persistence=0.0,
+        random=packing,
+    )
+    if not setup.acts_on("packing"):
+        return cells
+    cells = apply(setup.effects, "packing", replace(cells, random=packing.spawn(1)[0]))
+    stored = {n: getattr(cells, n).astype(weight.dtype) for n in ("weight", "shed_fraction")}
+    return replace(cells, **stored)
+
+
+def _mass_of(cells: Packing) -> np.ndarray:
+    """Mass of each cell by its identity, kg."""
+    return cells.weight.astype(np.float64) / GRAVITY
 
 
 def _taken(state: State, dtype: type) -> tuple[_Cells, np.ndarray, float, Coupling]:
@@ -607,13 +620,12 @@ class _Recorder:
                 f"{setup.experiment.name}: weight balance is off by {error:.3g} of the weight at "
                 f"reading {t}; at most {BALANCE_TOLERANCE:g} is allowed"
             )
-        stress = base_load / setup.lattice.cell_area * KPA
-        on_ground = stress[setup.base]
-        mean = on_ground.mean()
-        footprints = setup.footprints.reshape(len(setup.footprints), -1)
-        readings.vertical_stress[t] = footprints @ stress.ravel()
+        kpa = KPA / setup.lattice.cell_area
+        mean, std = read_base(
+            base_load, setup.base, setup.footprints, kpa, readings.vertical_stress[t]
+        )
         readings.base_vertical_stress[t] = mean
-        readings.base_vertical_stress_std[t] = np.sqrt(np.square(on_ground - mean).mean())
+        readings.base_vertical_stress_std[t] = std
         readings.weight_balance_error[t] = error
         if fields is not None:
             fields[t, : len(load)] = load / setup.lattice.cell_area * KPA

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numba import njit
 
 from pipeline.effects import Effect, Parameter, State, Values
 from pipeline.lattice.cells import MOVEMENT, STAGNANT
@@ -21,34 +22,60 @@ def lean(state: State, values: Values) -> State:
     total = down + 4.0 * (edge + corner)
     beta = np.array([np.mean(weight / total) for weight in (down, edge, corner)])
     shift = [math.tan(math.radians(values[name])) for name in ("angle_x", "angle_y")]
-    x, y = _kappa(beta[RING], np.array(shift))
+    x, y = map(float, _kappa(beta[RING], np.array(shift)))
     return replace(state, coupling=state.coupling._replace(lean_x=x, lean_y=y))
 
 
-def _kappa(beta: np.ndarray, shift: np.ndarray) -> tuple[float, float]:
+@njit(nogil=True, cache=True, error_model="numpy")
+def _kappa(beta, shift):
     """κ (x, y) with Σ o β exp(κ·o) / Σ β exp(κ·o) = shift: Newton on a convex function."""
-
-    def weights(kappa):
-        exponent = np.log(np.maximum(beta, 1e-300)) + OFFSETS @ kappa
-        largest = exponent.max()
-        weight = np.exp(exponent - largest)
-        return weight / weight.sum(), largest + math.log(weight.sum()) - kappa @ shift
-
-    kappa = np.zeros(2)
+    kappa, share = np.zeros(2), np.empty(9)
+    mean, spread = np.empty(2), np.empty((2, 2))
     for _ in range(200):
-        share, value = weights(kappa)
-        mean = share @ OFFSETS
-        if np.abs(mean - shift).max() < 1e-13:
+        value = _shares(beta, kappa, shift, share)
+        mean[:] = 0.0
+        spread[:] = 0.0
+        for n in range(9):
+            for a in range(2):
+                mean[a] += share[n] * OFFSETS[n, a]
+                for b in range(2):
+                    spread[a, b] += share[n] * OFFSETS[n, a] * OFFSETS[n, b]
+        left = shift - mean
+        if np.abs(left).max() < 1e-13:
             break
-        spread = (OFFSETS * share[:, None]).T @ OFFSETS - np.outer(mean, mean)
-        step = np.linalg.solve(spread + 1e-12 * np.eye(2), shift - mean)
+        for a in range(2):
+            for b in range(2):
+                spread[a, b] -= mean[a] * mean[b]
+            spread[a, a] += 1e-12
+        determinant = spread[0, 0] * spread[1, 1] - spread[0, 1] * spread[1, 0]
+        step = np.array(
+            [
+                (spread[1, 1] * left[0] - spread[0, 1] * left[1]) / determinant,
+                (spread[0, 0] * left[1] - spread[1, 0] * left[0]) / determinant,
+            ]
+        )
         step *= min(1.0, 5.0 / np.abs(step).max())
-        while weights(kappa + step)[1] > value + 1e-14 * abs(value) and np.abs(step).max() > 1e-15:
+        allowed = value + 1e-14 * abs(value)
+        while _shares(beta, kappa + step, shift, share) > allowed and np.abs(step).max() > 1e-15:
             step *= 0.5
-        kappa = kappa + step
+        kappa += step
         if np.abs(step).max() < 1e-14:
             break
-    return float(kappa[0]), float(kappa[1])
+    return kappa[0], kappa[1]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _shares(beta, kappa, shift, share):
+    """Shares of the nine at κ, into `share`, and the convex function whose minimum is wanted."""
+    for n in range(9):
+        share[n] = (
+            math.log(max(beta[n], 1e-300)) + OFFSETS[n, 0] * kappa[0] + OFFSETS[n, 1] * kappa[1]
+        )
+    largest = share.max()
+    share[:] = np.exp(share - largest)
+    total = share.sum()
+    share /= total
+    return largest + math.log(total) - kappa[0] * shift[0] - kappa[1] * shift[1]
 
 
 EFFECT = Effect(

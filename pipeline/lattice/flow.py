@@ -177,21 +177,43 @@ def draw_to(state, cell_mass, drawpoint, target_mass, chances, bulking, rng):
         _climb(state, k, j, i, drawpoint, chances, bulking, rng)
 
 
+@njit(nogil=True, cache=True)
+def draw_visits(state, cell_mass, drawpoints, ends, missing, shortfall, chances, bulking, rng):
+    """`draw_to` for visits in turn; returns the mass in kg that drawpoints lacked so far.
+
+    ``drawpoints`` int64 and ``ends`` float64 (visit): where, and the scheduled mass at its end.
+    ``missing`` kg were lacking before, which nobody makes up for; what a drawpoint lacks now adds
+    to ``shortfall`` (drawpoint), kg.
+    """
+    for visit in range(len(drawpoints)):
+        drawpoint = drawpoints[visit]
+        target = ends[visit] - missing
+        short = draw_to(state, cell_mass, drawpoint, target, chances, bulking, rng)
+        shortfall[drawpoint] += short
+        missing += short
+    return missing
+
+
+@njit(nogil=True, cache=True)
 def zone_geometry(state, cell_size):
     """Height and width of the connected movement zone of each drawpoint, two float64 (drawpoint).
 
     In the unit of ``cell_size``. The height reaches from the base to the top of the highest
     loosened level; the width is the largest x extent of one level. 0 where nothing is loosened.
     """
-    nz, _, nx = state.zone.shape
-    min_x = np.full_like(state.level_min_x, nx)
-    max_x = np.full_like(state.level_max_x, -1)
-    np.minimum.at(min_x, state.zone_root, state.level_min_x)
-    np.maximum.at(max_x, state.zone_root, state.level_max_x)
-    extent = np.maximum(max_x - min_x + 1, 0)
-    height = np.where(extent > 0, np.arange(1, nz + 1), 0).max(axis=1)
-    width = extent.max(axis=1)
-    return height[state.zone_root] * cell_size, width[state.zone_root] * cell_size
+    drawpoints, nz = state.level_min_x.shape
+    height, width = np.zeros(drawpoints), np.zeros(drawpoints)
+    for root in range(drawpoints):
+        for k in range(nz):
+            least, most = state.zone.shape[2], -1
+            for label in range(drawpoints):
+                if state.zone_root[label] == root:
+                    least = min(least, state.level_min_x[label, k])
+                    most = max(most, state.level_max_x[label, k])
+            if most >= least:
+                height[root] = (k + 1) * cell_size
+                width[root] = max(width[root], (most - least + 1) * cell_size)
+    return height[state.zone_root], width[state.zone_root]
 
 
 @njit(nogil=True, cache=True)

@@ -403,6 +403,34 @@ def _hand_aside(code, carried, cohesion):
 
 
 @njit(nogil=True, cache=True)
+def read_base(base_load, on_ground, footprints, scale, readings):
+    """Stresses that a base reads: `scale` (stress per newton) times its loads.
+
+    `base_load` (y, x) in N; `on_ground` (y, x) bool, columns with ground; `footprints`
+    (load_cell, y, x), shares of base cells in each reading. Fills `readings` (load_cell). Returns
+    the mean over the ground columns and their standard deviation (population).
+    """
+    ny, nx = base_load.shape
+    readings[:] = 0.0
+    total, count = 0.0, 0
+    for y in range(ny):
+        for x in range(nx):
+            stress = scale * base_load[y, x]
+            for cell in range(len(readings)):
+                readings[cell] += footprints[cell, y, x] * stress
+            if on_ground[y, x]:
+                total += stress
+                count += 1
+    mean = total / count
+    square = 0.0
+    for y in range(ny):
+        for x in range(nx):
+            if on_ground[y, x]:
+                square += (scale * base_load[y, x] - mean) ** 2
+    return mean, math.sqrt(square / count)
+
+
+@njit(nogil=True, cache=True)
 def place_cells(code, cell_id, zone, cell_weight, cell_shed, zone_shed, weight, shed_fraction):
     """Weights and shed fractions of the cells where they now are.
 

@@ -14,6 +14,7 @@ from pipeline.lattice.adjoint import Influence
 from pipeline.loop.hypotheses import Hypothesis
 from pipeline.loop.model import Model, Point
 from pipeline.montecarlo.replicates import run_tasks
+from pipeline.montecarlo.streams import LOOP_PACKING
 from pipeline.sensitivity.footprints import row_gradients
 from pipeline.simulate import Sweep
 
@@ -39,9 +40,8 @@ def rule_slopes(model: Model, point: Point, rules: Sequence[Hypothesis]) -> np.n
 def _gradients(model: Model, point: Point, case: int, replicate: int) -> np.ndarray:
     """Derivatives (row, channel · feature) of the raw rows of one replicate."""
     setup, parameters, flow_at = model.setup_at(point, case)
-    packing, flow = model.streams(case, replicate)
-    if setup.masses:
-        flow = model.flow(case, flow_at, replicate)
+    packing = model.stream(LOOP_PACKING, case, replicate)
+    flow = model.flow(case, flow_at, replicate) if setup.masses else None
     at_rest: dict[int, np.ndarray] = {}
 
     def project(sweep: Sweep, state: State, found: Influence) -> np.ndarray:

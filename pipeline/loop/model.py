@@ -413,20 +413,19 @@ class Model:
             setup = replace(setup, masses=setup.masses[:1])
         values = []
         for k in replicates:
-            packing, stream = self.streams(case, k)
+            packing, drawn = self.stream(LOOP_PACKING, case, k), None
             if self._is_draw(case) and same_lattice:
-                stream = self.flow(case, flow, k)
-            readings = simulate(setup, parameters, packing, stream)
+                drawn = self.flow(case, flow, k)
+            elif self._is_draw(case):
+                drawn = self.stream(LOOP_FLOW, case, k)
+            readings = simulate(setup, parameters, packing, drawn)
             values.append(reader.values(readings))
         return np.array(values)
 
-    def streams(self, case: int, replicate: int) -> tuple:
-        """Streams of packing and flow of a case's replicate."""
+    def stream(self, purpose: int, case: int, replicate: int) -> np.random.Generator:
+        """Stream of packing or flow of a case's replicate."""
         experiment = self.cases[case].experiment
-        return tuple(
-            random_stream(experiment.seed, experiment.name, purpose, replicate)
-            for purpose in (LOOP_PACKING, LOOP_FLOW)
-        )
+        return random_stream(experiment.seed, experiment.name, purpose, replicate)
 
     def flow(self, case: int, at: tuple, replicate: int) -> FlowRecord:
         """Flow of a case's replicate at (parameters, effects); kept while there is room."""
@@ -434,7 +433,8 @@ class Model:
         record = self._flows.get(key)
         if record is None:
             setup = self._with_effects(case, self._setups[case], at[1])
-            record = record_flow(setup, at[0], *self.streams(case, replicate))
+            streams = (self.stream(what, case, replicate) for what in (LOOP_PACKING, LOOP_FLOW))
+            record = record_flow(setup, at[0], *streams)
             if self._count["flow_bytes"] + record.nbytes <= FLOW_BYTES:
                 self._flows[key] = record
                 self._count["flow_bytes"] += record.nbytes
