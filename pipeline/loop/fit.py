@@ -113,9 +113,10 @@ def fit(
         tried = np.clip(x + step, low, high)
         result = system(tried)
         kept = (cost - result[2]) / max(promised, 1e-12)
+        slopes = _bent(slopes, (tried - x) / size, result[0] - expected, size)
         if kept > 0.1:
             x, (expected, misfit, cost) = tried, result
-        if kept < 0.5 or far:  # the slopes do not serve this far
+        if kept < 0.25 or far:  # the slopes do not serve this far
             if _at(start, x) != sloped:
                 slopes, sloped = _slopes(model, _at(start, x)), _at(start, x)
             if kept < 0.1:
@@ -155,6 +156,18 @@ def _fits_flow(model: Model) -> bool:
 
 def _slopes(model: Model, point: Point) -> np.ndarray:
     return np.column_stack(model.jacobian(point, point.terms))
+
+
+def _bent(slopes: np.ndarray, moved: np.ndarray, change: np.ndarray, size: np.ndarray):
+    """Slopes (row, unknown) that explain the last change of the rows (Broyden 1965).
+
+    `moved` (unknown) led to it, in units of `size`.
+    """
+    length = float(moved @ moved)
+    if length < 1e-12:
+        return slopes
+    missing = np.nan_to_num(change - (slopes * size) @ moved)
+    return slopes + np.outer(missing / length, moved) / size
 
 
 def _at(start: Point, x: np.ndarray) -> Point:
