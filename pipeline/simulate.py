@@ -41,6 +41,7 @@ from pipeline.lattice.stress import (
     UNCOUPLED,
     Coupling,
     place_cells,
+    place_zones,
     read_base,
     spreading_weights,
     stress_sweep,
@@ -505,8 +506,7 @@ class _Ground:
 
     def in_draw(self, now: Snapshot, cells: _Cells) -> State:
         """The lattice during draw, through the state effects."""
-        root = np.where(now.zone >= 0, now.zone_root[now.zone], np.int16(-1))
-        own = self.cells.shed_fraction[np.maximum(now.cell_id, 0)]
+        root, own = place_zones(now.cell_id, now.zone, now.zone_root, self.cells.shed_fraction)
         return self._through_effects(now.code, now.zone, root, now.heights, own, cells)
 
     def _through_effects(self, code, zone, zone_root, heights, own_shed, cells):

@@ -15,15 +15,29 @@ RING = np.abs(OFFSETS).sum(axis=1).astype(int)  # 0 straight below, 1 edges, 2 c
 
 def lean(state: State, values: Values) -> State:
     """κ that shifts the packing's mean weights by the tangent of the angle for each level."""
-    granular = (state.code == STAGNANT) | (state.code == MOVEMENT)
-    straight = state.coupling.straight
-    down = straight[granular] if straight.size else 1.0
-    edge, corner = (a[granular].astype(np.float64) for a in (state.edge, state.corner))
-    total = down + 4.0 * (edge + corner)
-    beta = np.array([np.mean(weight / total) for weight in (down, edge, corner)])
+    beta = np.array(_mean_shares(state.code, state.coupling.straight, state.edge, state.corner))
     shift = [math.tan(math.radians(values[name])) for name in ("angle_x", "angle_y")]
     x, y = map(float, _kappa(beta[RING], np.array(shift)))
     return replace(state, coupling=state.coupling._replace(lean_x=x, lean_y=y))
+
+
+@njit(nogil=True, cache=True)
+def _mean_shares(code, straight, edge, corner):
+    """Mean over granular cells of the shares of one receiver of each ring, as if all took part."""
+    nz, ny, nx = code.shape
+    count, below, beside, across = 0, 0.0, 0.0, 0.0
+    for k in range(nz):
+        for y in range(ny):
+            for x in range(nx):
+                if code[k, y, x] == STAGNANT or code[k, y, x] == MOVEMENT:
+                    down = np.float64(straight[k, y, x]) if straight.size else 1.0
+                    side, diagonal = np.float64(edge[k, y, x]), np.float64(corner[k, y, x])
+                    total = down + 4.0 * (side + diagonal)
+                    below += down / total
+                    beside += side / total
+                    across += diagonal / total
+                    count += 1
+    return below / count, beside / count, across / count
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -452,3 +452,19 @@ def place_cells(code, cell_id, zone, cell_weight, cell_shed, zone_shed, weight, 
                 else:
                     weight[k, y, x] = 0.0
                     shed_fraction[k, y, x] = 0.0
+
+
+@njit(nogil=True, cache=True)
+def place_zones(cell_id, zone, zone_root, cell_shed):
+    """(z, y, x): label of the connected zone, −1 outside, and 1 − E of the cell that is there now.
+
+    Arguments as in `place_cells`; `zone_root` (drawpoint) as in `flow.FlowState`. Where there is
+    no cell, 1 − E is that of the first.
+    """
+    root, own = np.empty(zone.shape, np.int16), np.empty(zone.shape, cell_shed.dtype)
+    labels, ids = zone.reshape(-1), cell_id.reshape(-1)
+    for place in range(zone.size):
+        label = labels[place]
+        root.flat[place] = zone_root[label] if label >= 0 else np.int16(-1)
+        own.flat[place] = cell_shed[max(ids[place], 0)]
+    return root, own
