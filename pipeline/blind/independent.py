@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -254,14 +255,20 @@ def _stencil(receivers: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _ratio_of_variance(receivers: int, variance: np.ndarray) -> np.ndarray:
     """q of weights q^(d²) whose variance along x is the one wanted, cells²; at most 0.99."""
+    step, table = _ratios(receivers)
+    place = np.minimum(variance / step + 0.5, len(table) - 1)
+    return table[place.astype(np.int32)]
+
+
+@cache
+def _ratios(receivers: int) -> tuple[float, np.ndarray]:
+    """Step of the variance from 0, and the q of each."""
     y, x = _stencil(receivers)
     q = np.linspace(0.0, 0.99, 500)
     weights = q[:, None] ** (x**2 + y**2)
     reached = (weights * x**2).sum(axis=1) / weights.sum(axis=1)
     even = np.linspace(0.0, reached[-1], 2000)
-    table = np.interp(even, reached, q).astype(np.float32)
-    place = np.minimum(variance / even[1] + 0.5, len(even) - 1)
-    return table[place.astype(np.int32)]
+    return even[1], np.interp(even, reached, q).astype(np.float32)
 
 
 class _Ground:
@@ -330,6 +337,8 @@ class _Ground:
     def _uncatalogued(self, weight, shed, zone, filled):
         """Weights and shed fractions as the amplitudes of the physics leave them."""
         physics, cell = self.physics, self.box.cell
+        if not (physics.shell or physics.crust or physics.side_density):
+            return weight, np.minimum(shed, 1.0)
         factor = np.ones(shed.shape)
         if physics.shell and (zone >= 0).any():
             distance = ndimage.distance_transform_edt(zone < 0, sampling=cell)
@@ -345,8 +354,9 @@ class _Ground:
     def _relaxation(self, pillars):
         """R of each place (z, y, x), R / (1 + width / W) near a pillar of width W."""
         field = np.full(pillars.shape, self.theta["R"])
-        width = self.acting.get("pillar_relaxation", {"width": 0.0})["width"]
-        return field / (1.0 + width / self.box.cell * pillars)
+        if "pillar_relaxation" in self.acting:
+            field /= 1.0 + self.acting["pillar_relaxation"]["width"] / self.box.cell * pillars
+        return field
 
     def _beside(self, zone):
         """Label of the zone that a place at rest lies within 3 cm of, sideways; −1 elsewhere."""
