@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from pipeline.effects import State
+from pipeline.effects.pillar_relaxation import nearest, value_at
 from pipeline.lattice.cells import MOVEMENT, OUTSIDE, STAGNANT
 
 SHELL = 2.5  # cells: how far the surroundings of a movement zone or of an opening reach
@@ -49,6 +49,8 @@ def _distance(found: np.ndarray) -> np.ndarray:
     """Distance to the nearest place found, cells; infinite where there is none."""
     if not found.any():
         return np.full(found.shape, np.inf)
+    from scipy.ndimage import distance_transform_edt
+
     return distance_transform_edt(~found)
 
 
@@ -184,15 +186,8 @@ def pillar(state: State) -> np.ndarray:
     found = np.zeros(state.code.shape, dtype=bool)
     for axis in (1, 2):
         zone = np.moveaxis(state.zone, axis, -1)
-        there = zone >= 0
-        count = zone.shape[-1]
-        before = np.maximum.accumulate(np.where(there, np.arange(count), -1), axis=-1)
-        after = np.where(there, np.arange(count), count)[..., ::-1]
-        after = np.minimum.accumulate(after, axis=-1)[..., ::-1]
-        between = (before >= 0) & (after < count)
-        left = np.take_along_axis(zone, np.maximum(before, 0), -1)
-        right = np.take_along_axis(zone, np.minimum(after, count - 1), -1)
-        found |= np.moveaxis(between & (left != right), -1, axis)
+        left, right = (value_at(zone, place, -1) for place in nearest(zone >= 0))
+        found |= np.moveaxis((left >= 0) & (right >= 0) & (left != right), -1, axis)
     return 1.0 * (found & (state.code == STAGNANT))
 
 

@@ -25,18 +25,18 @@ def _narrowness(state: State, axis: int) -> np.ndarray:
     """
     stagnant = np.moveaxis(state.code == STAGNANT, axis, -1)
     zone = np.moveaxis(state.zone, axis, -1)
-    before, after = _nearest(~stagnant)
-    left, right = _at(zone, before, -1), _at(zone, after, -1)
+    before, after = nearest(~stagnant)
+    left, right = value_at(zone, before, -1), value_at(zone, after, -1)
     between = stagnant & (left >= 0) & (right >= 0)
     pillar = between & (left != right)
     narrowness = np.where(pillar, 1.0 / np.maximum(after - before - 1, 1), 0.0)
-    before, after = _nearest((zone < 0) & (~between | pillar))
+    before, after = nearest((zone < 0) & (~between | pillar))
     part = (np.arange(zone.shape[-1]) - before) / np.maximum(after - before, 1)
-    left, right = _at(narrowness, before, 0.0), _at(narrowness, after, 0.0)
+    left, right = value_at(narrowness, before, 0.0), value_at(narrowness, after, 0.0)
     return np.moveaxis((1.0 - part) * left + part * right, -1, axis)
 
 
-def _nearest(found: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def nearest(found: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Index along the last axis of the nearest place found at or before, and at or after, each.
 
     −1 and the length of the axis where there is none.
@@ -47,7 +47,7 @@ def _nearest(found: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return before, np.minimum.accumulate(after, axis=-1)[..., ::-1]
 
 
-def _at(values: np.ndarray, index: np.ndarray, off: float) -> np.ndarray:
+def value_at(values: np.ndarray, index: np.ndarray, off: float) -> np.ndarray:
     """Values at an index along the last axis; `off` where it is off the lattice."""
     count = values.shape[-1]
     taken = np.take_along_axis(values, np.clip(index, 0, count - 1), axis=-1)

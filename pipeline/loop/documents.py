@@ -17,7 +17,7 @@ from pipeline.effects.local_rule import in_words
 from pipeline.loop.certificate import certificate
 from pipeline.loop.covariance import COMPONENTS, Noise
 from pipeline.loop.data import Data
-from pipeline.loop.fit import Fit, box
+from pipeline.loop.fit import Fit, posterior_covariance
 from pipeline.loop.model import Model, Point, Term, limits
 from pipeline.loop.problem import Problem
 from pipeline.loop.rounds import Outcome, Round
@@ -64,9 +64,7 @@ def point_from(document: Mapping[str, Any]) -> Point:
 
 def standard_deviations(model: Model, data: Data, one: Round) -> np.ndarray:
     """Sd (unknown) of a round's coordinates and amplitudes, given its covariance and priors."""
-    _, sd, _, _ = box(model, one.fit.point)
-    whole = np.vstack([one.noise.whitened(one.fit.slopes[data.use]), np.diag(1.0 / sd)])
-    return np.sqrt(np.diag(np.linalg.pinv(whole.T @ whole)))
+    return np.sqrt(np.diag(posterior_covariance(model, data, one.fit, one.noise)))
 
 
 def parameters_document(model: Model, found: Fit, sd: np.ndarray) -> dict[str, Any]:

@@ -14,7 +14,7 @@ MOST_STEPS = 80
 FIRST_DAMPING, MOST_DAMPING = 1.0, 1e3  # in units of an unknown's usual change
 CLOSE, ROUGHLY = 3e-5, 0.01  # drop of χ² that a step must promise
 FAR = 0.3  # of an unknown's scale: from there on the slopes of another point do not serve
-MOVED = 0.5  # likewise for the covariance
+MOVED = 1.0  # likewise for the covariance
 REFRESHES = 2  # times that the covariance follows the fit
 AMPLITUDE_PRIOR = 100.0  # sd of an amplitude's prior in a fit, in its scale: too wide to shrink it
 
@@ -184,6 +184,13 @@ def box(model: Model, point: Point) -> tuple[np.ndarray, ...]:
     low = np.array([*(c.low for c in model.coordinates), *(end[0] for end in ends)])
     high = np.array([*(c.high for c in model.coordinates), *(end[1] for end in ends)])
     return center, sd, low, high
+
+
+def posterior_covariance(model: Model, data: Data, found: Fit, noise: Noise) -> np.ndarray:
+    """Covariance (unknown, unknown) of a fit's coordinates and amplitudes, with their priors."""
+    _, sd, _, _ = box(model, found.point)
+    whole = np.vstack([noise.whitened(found.slopes[data.use]), np.diag(1.0 / sd)])
+    return np.linalg.pinv(whole.T @ whole)
 
 
 def _step(whole, misfit, x, low, high, damping) -> np.ndarray:

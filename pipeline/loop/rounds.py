@@ -12,7 +12,7 @@ from pipeline.config.study import Study
 from pipeline.loop.attribution import SURE, Attribution, Evidence, attribute
 from pipeline.loop.covariance import Noise, restricted_likelihood_factors
 from pipeline.loop.data import Data
-from pipeline.loop.fit import Fit, box, calibrated, fit
+from pipeline.loop.fit import Fit, calibrated, fit, posterior_covariance
 from pipeline.loop.gate import Gate, Projected, lack_of_fit, projected
 from pipeline.loop.hypotheses import Hypothesis, catalogue, rules, terms_of
 from pipeline.loop.local_rules import rule_slopes
@@ -63,11 +63,6 @@ class Outcome:
         """The final model."""
         return self.rounds[-1].fit
 
-    @property
-    def baseline(self) -> Fit:
-        """The calibrated model before anything was added."""
-        return self.rounds[0].fit
-
 
 def close(
     study: Study, model: Model, data: Data, begin: tuple[Fit, Noise] | None = None
@@ -109,9 +104,7 @@ def _spoken_for_no_more(
     model: Model, data: Data, found: Fit, noise: Noise, added: Sequence[Evidence]
 ) -> list[int]:
     """Numbers of earlier additions, last first, whose evidence later ones have taken away."""
-    _, sd, _, _ = box(model, found.point)
-    whole = np.vstack([noise.whitened(found.slopes[data.use]), np.diag(1.0 / sd)])
-    covariance = np.linalg.pinv(whole.T @ whole)
+    covariance = posterior_covariance(model, data, found, noise)
     count = len(found.point.coordinates)
     gone = []
     for number, evidence in enumerate(added[:-1]):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -43,7 +42,6 @@ from pipeline.loop.scores import VARIANTS, errors, predicted, ratio_interval
 from pipeline.montecarlo.replicates import run_tasks
 from pipeline.montecarlo.streams import LOOP_BOOTSTRAP, random_stream
 
-log = logging.getLogger(__name__)
 SCHEMA_VERSION = "1.0"
 
 

@@ -16,6 +16,7 @@ from pipeline.loop.covariance import (
     restricted_likelihood_factors,
 )
 from pipeline.loop.model import OTHERS, SCATTER
+from pipeline.montecarlo.streams import LOOP_FLOW, LOOP_PACKING
 from pipeline.observe import RowReader
 from pipeline.simulate import simulate
 
@@ -34,7 +35,13 @@ def by_hand(problem, case):
     setup, parameters, _ = model.setup_at(model.start, case)
     reader = RowReader(setup, model.cases[case].rows)
     values = [
-        reader.values(simulate(setup, parameters, *model.streams(case, k)))
+        reader.values(
+            simulate(
+                setup,
+                parameters,
+                *(model.stream(what, case, k) for what in (LOOP_PACKING, LOOP_FLOW)),
+            )
+        )
         for k in range(SCATTER + OTHERS)
     ]
     rows = reader.sensed(np.array(values), replace(setup, effects=()))

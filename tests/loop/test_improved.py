@@ -12,6 +12,7 @@ from pipeline.effects import declared_effects
 from pipeline.lattice.block_model import build_block_model
 from pipeline.loop.improved import improved_documents
 from pipeline.loop.model import Point, Term
+from pipeline.montecarlo.streams import LOOP_FLOW, LOOP_PACKING
 from pipeline.observe import RowReader, only_measured
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import make_setup, simulate
@@ -66,7 +67,13 @@ def plain_mean(experiment, model, case):
     reader = RowReader(setup, rows)
     parameters = declared_parameters(experiment)
     values = [
-        reader.values(simulate(setup, parameters, *model.streams(case, k)))
+        reader.values(
+            simulate(
+                setup,
+                parameters,
+                *(model.stream(what, case, k) for what in (LOOP_PACKING, LOOP_FLOW)),
+            )
+        )
         for k in range(model.common(case))
     ]
     sensed = replace(setup, effects=())  # what is simulated has passed the sensors already
