@@ -23,6 +23,8 @@ from pipeline.simulate import simulate
 # ---------------------------------------------------------------------------------------------
 # as simulated and declared
 
+STREAMS = LOOP_PACKING, LOOP_FLOW
+
 
 @pytest.fixture(scope="module")
 def problem(mixed):
@@ -39,7 +41,7 @@ def by_hand(problem, case):
             simulate(
                 setup,
                 parameters,
-                *(model.stream(what, case, k) for what in (LOOP_PACKING, LOOP_FLOW)),
+                *(model.stream(one, case, k) for one in STREAMS),
             )
         )
         for k in range(SCATTER + OTHERS)

@@ -37,6 +37,8 @@ TERMS = {
     ): 0.3,
 }
 
+STREAMS = LOOP_PACKING, LOOP_FLOW
+
 
 def mixed_problem(folder, parameters=("E", "s", "R")):
     """A draw and a static column, in which the same effects can act."""
@@ -71,7 +73,7 @@ def plain_mean(experiment, model, case):
             simulate(
                 setup,
                 parameters,
-                *(model.stream(what, case, k) for what in (LOOP_PACKING, LOOP_FLOW)),
+                *(model.stream(one, case, k) for one in STREAMS),
             )
         )
         for k in range(model.common(case))
