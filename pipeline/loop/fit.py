@@ -103,21 +103,20 @@ def fit(
     size = _sizes(model, start)
     for _ in range(MOST_STEPS):
         whole = np.vstack([noise.whitened(slopes[data.use]), np.diag(1.0 / sd)])
-        far = _is_far(model, _at(start, x), sloped, FAR)
         free = _step(whole, misfit, x, low, high, 0.0 * size)
         left = cost - float(np.sum((misfit - whole @ free) ** 2))
-        if (left < close and not far) or damping > MOST_DAMPING:
+        if left < close or damping > MOST_DAMPING:
             break
         step = _step(whole, misfit, x, low, high, damping / size)
         promised = cost - float(np.sum((misfit - whole @ step) ** 2))
         tried = np.clip(x + step, low, high)
         result = system(tried)
         kept = (cost - result[2]) / max(promised, 1e-12)
-        slopes = _bent(slopes, (tried - x) / size, result[0] - expected, size)
         if kept > 0.1:
+            slopes = _bent(slopes, (tried - x) / size, result[0] - expected, size)
             x, (expected, misfit, cost) = tried, result
-        if kept < 0.25 or far:  # the slopes do not serve this far
-            if _at(start, x) != sloped:
+        if kept < 0.25 or _is_far(model, _at(start, x), sloped, FAR):
+            if _at(start, x) != sloped:  # the slopes do not serve this far
                 slopes, sloped = _slopes(model, _at(start, x)), _at(start, x)
             if kept < 0.1:
                 damping = max(4.0 * damping, FIRST_DAMPING)
