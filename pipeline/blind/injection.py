@@ -139,12 +139,29 @@ class World:
         material = self.documents[name]["material"]["name"]
         return one.scope_key in {None, name, material, *cells}
 
-    def delta(self, one: Added) -> float:
-        """How far an effect moves the readings, by a first look; 0 if one is no longer positive."""
-        shift = self.shift((one,), LOOKS)
+    def delta(self, *added: Added) -> float:
+        """How far effects move the readings, by a first look; 0 if one is no longer positive."""
+        shift = self.shift(added, LOOKS)
         if not all(np.isfinite(values).all() for values in shift.values()):
             return 0.0
         return self.first_metric.norm(shift)
+
+    def likeness(self, one: Added, others: Sequence[Added]) -> list[float]:
+        """Cosines of an effect's shift and others', by a first look.
+
+        Of what is beyond calibration alone.
+        """
+        shift, *of_others = (self.shift((of,), LOOKS) for of in (one, *others))
+        return [self.first_metric.cosine(shift, other) for other in of_others]
+
+    def moved_held_out(self, added: Sequence[Added]) -> float:
+        """Rms change of the log mean ground stress in what is held out, by a first look."""
+        ratios = []
+        without, moved = (self.simulate(laboratory.HELD_OUT, a, LOOKS) for a in ((), added))
+        for name in laboratory.HELD_OUT:
+            means = (of[name].mean(axis=0).ravel() for of in (moved, without))
+            ratios.append(np.divide(*means))
+        return float(np.sqrt(np.mean(np.log(np.concatenate(ratios)) ** 2)))
 
     def truth_of(self, added: Sequence[Added]) -> tuple[list[dict], list[dict]]:
         """Documents of the effects, with how far each moves the readings, and of the rows."""

@@ -12,7 +12,7 @@ import csv
 import hashlib
 import io
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,7 @@ import numpy as np
 import yaml
 
 from pipeline.blind import independent, laboratory
+from pipeline.blind.attacks import ATTACKED, ATTACKS, Plan, attack_of
 from pipeline.blind.injection import (
     INDEPENDENT_PHYSICS,
     INPUTS,
@@ -71,14 +72,19 @@ def make_worlds(
     count: int,
     seed: int,
     hard_nulls: int = 0,
+    attacks: int = 0,
     workers: int = 1,
 ) -> list[str]:
-    """Write `count` worlds of the mix, and as many hard nulls of each kind as asked for.
+    """Write `count` worlds of the mix, and as many of each hard null and attack as asked for.
 
     Worlds that are there already and match their truth are kept. Returns their names in order,
     after `hashes.json` is written under `root`; `workers` processes change no number.
     """
-    indices = [*range(count), *range(HARD_NULLS, HARD_NULLS + 2 * hard_nulls)]
+    indices = [
+        *range(count),
+        *range(HARD_NULLS, HARD_NULLS + 2 * hard_nulls),
+        *range(ATTACKED, ATTACKED + len(ATTACKS) * attacks),
+    ]
     one = partial(make_world, Path(root), Path(sealed_root), seed)
     digests = each("blind worlds, making them", one, indices, workers)
     names = [world_name(index) for index in indices]
@@ -123,6 +129,8 @@ def digest_of(content: bytes) -> str:
 
 def kind_of(seed: int, index: int) -> tuple[str, str]:
     """What kind of truth a world has, and which generator makes its data."""
+    if index >= ATTACKED:
+        return f"attack_{attack_of(index)}", "lattice"
     if index >= HARD_NULLS:
         pair, place = divmod(index - HARD_NULLS, 2)
         kind = ("null_heavy_tails", "null_understated_noise")[place]
@@ -148,16 +156,24 @@ def draw_world(
     choice = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, index)))
     documents = laboratory.documents(int(choice.integers(2**31)))
     theta = np.array(THETA_STD) * choice.standard_normal(len(THETA))
-    source = LatticeGenerator(documents)
+    attack = ATTACKS.get(kind.removeprefix("attack_"))
+    plan = attack.plan(documents, choice) if attack else Plan()
+    truly = plan.documents(documents)
+    source = LatticeGenerator(truly)
     if generator == "independent":
-        source = IndependentGenerator(documents, _physics(kind, choice))
-    world = World(source, documents, theta, (seed, 3, index))
-    added = _effects(world, kind, generator, choice, delta_range)
+        source = IndependentGenerator(truly, _physics(kind, choice))
+    world = World(source, truly, theta, (seed, 3, index))
+    if attack:
+        added = plan.effects(world, choice)
+    else:
+        added = _effects(world, kind, generator, choice, delta_range)
     effects, rows = world.truth_of(added)
-    for row, error in zip(rows, _noise(kind, world.all_rows, choice), strict=True):
+    plan.misread(rows)
+    for row, error in zip(rows, _noise(kind, world.all_rows, choice, plan.noise), strict=True):
         row["measured"] = float(f"{row['reading'] * math.exp(error):.6g}")
+    plan.misfile(rows)
     files = _files(world_name(index), documents, rows)
-    return files, {
+    truth = {
         "format_version": FORMAT_VERSION,
         "world": world_name(index),
         "seed": seed,
@@ -175,6 +191,20 @@ def draw_world(
         },
         "files": {path: digest_of(text.encode()) for path, text in files.items()},
         "rows": rows,
+    }
+    if attack:
+        truth["attack"] = _attack(world, plan, added)
+    return files, truth
+
+
+def _attack(world: World, plan: Plan, added: Sequence[Added]) -> dict[str, Any]:
+    """What is wrong apart from the effects, what all of them move, and the answers accepted."""
+    joint = world.delta(*added)
+    return {
+        "details": dict(plan.details),
+        "joint_delta": joint,
+        "held_out_rms_log": world.moved_held_out(added),
+        "right": asdict(plan.right(added, joint)),
     }
 
 
@@ -210,8 +240,13 @@ def _effects(world: World, kind: str, generator: str, choice, delta_range) -> tu
 # data and files
 
 
-def _noise(kind: str, rows: Sequence[Row], choice: np.random.Generator) -> Iterator[float]:
-    """Log errors of the instruments, one for each row."""
+def _noise(
+    kind: str,
+    rows: Sequence[Row],
+    choice: np.random.Generator,
+    times: Callable[[Row], tuple[float, float]],
+) -> Iterator[float]:
+    """Log errors of the instruments, one for each row, its parts so many `times` as declared."""
 
     def draw() -> float:
         if kind == "null_heavy_tails":
@@ -223,7 +258,8 @@ def _noise(kind: str, rows: Sequence[Row], choice: np.random.Generator) -> Itera
         key = row.experiment, row.load_cell
         if key not in shared:
             shared[key] = draw()
-        yield SHARED * shared[key] + OWN * draw()
+        of_shared, of_own = times(row)
+        yield of_shared * SHARED * shared[key] + of_own * OWN * draw()
 
 
 def _files(name: str, documents: Mapping[str, Any], rows: Sequence[Mapping]) -> dict[str, str]:

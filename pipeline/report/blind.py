@@ -8,6 +8,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from pipeline.blind.attacks import ATTACKS
 from pipeline.files.atomic import write_text
 from pipeline.report.figures import BLUE, MUTED, Panel, panel_style
 from pipeline.report.page import MISSING, Badge, Data, Figure, Link, Table, parts, render
@@ -38,6 +39,7 @@ PEERS = {
         "sequentially thresholded least squares, covariance known"
     ),
 }
+REMARKS: dict[str, str] = {}  # by attack: what was mended in the method since, and what was not
 INTERVAL = "In brackets: of how many, and the exact 95 % interval."
 
 
@@ -71,6 +73,7 @@ def blind_page(scores: Mapping[str, Any], data: Data, file_names: Iterable[str])
         answers=answer_table(scores, data),
         held_out=held_out_table(scores, data),
         peers=peer_table(scores, data),
+        attacks=attack_tables(scores, data),
         worlds=world_table(scores, data),
         provenance=provenance_table(scores, data),
         files=list(file_names),
@@ -396,6 +399,95 @@ def peer_table(scores: Mapping[str, Any], data: Data) -> Table:
         exact = _rate(table, words, "two effects", rates["two"]["all"]["exact_set"])
         table.rows.append([words, *cells, exact])
     return table
+
+
+def attack_tables(scores: Mapping[str, Any], data: Data) -> list[Table]:
+    """Worlds written to fool the loop: by kind, and each; [] where none was asked for."""
+    if not scores["attacks"]:
+        return []
+    kinds = Table(
+        "attacks",
+        f"Worlds that were written to fool the loop; they count in no other table. {INTERVAL} "
+        "Held-out ratio: error after over before, against noise-free truth.",
+        [
+            "Attack",
+            "What a user would accept",
+            "Ended so",
+            "Gate rejects",
+            "What it said, and in how many",
+            "Held-out ratio, median",
+            "Made worse",
+            "Mended, or not",
+        ],
+        data,
+    )
+    each = Table(
+        "attack_worlds",
+        "Each of these worlds. δ together: how far all effects move the readings.",
+        [
+            "World",
+            "Attack",
+            "Truth",
+            "Also wrong",
+            "δ together",
+            "Verdict",
+            "Named",
+            "90 % set",
+            "Error: before",
+            "Error: after",
+            "Accepted",
+        ],
+        data,
+    )
+    for name, found in scores["attacks"].items():
+        said = Markup("; ").join(
+            parts("{} ({})", words, kinds.number(name, f"said: {words}", count, 0))
+            for words, count in found["said"].items()
+        )
+        kinds.rows.append(
+            [
+                ATTACKS[name].words,
+                ATTACKS[name].wanted,
+                _rate(kinds, name, "ended well", found["ends_well"]),
+                _rate(kinds, name, "gate rejects", found["gate_rejected"]),
+                said,
+                kinds.number(name, "held-out ratio", found["held_out_ratio"], 3),
+                _rate(kinds, name, "made worse", found["made_worse"]),
+                REMARKS.get(name, MISSING),
+            ]
+        )
+        for one in found["each"]:
+            world = one["world"]
+            errors = (one["held_out"].get(when, {}) for when in ("before", "after"))
+            each.rows.append(
+                [
+                    Link(world, f"worlds/{world}/closed_loop.json"),
+                    _words(name),
+                    Link(_claims(one["true"]) or "nothing", f"sealed/{world}.json"),
+                    _details(one["details"]) or MISSING,
+                    each.number(world, "joint delta", one["joint_delta"], 1),
+                    _words(one["verdict"]),
+                    _claims(one["named"]) or MISSING,
+                    ", ".join(one["candidate_set"]) or MISSING,
+                    *(
+                        each.number(world, f"error {when}", error.get("rms_log"), 3)
+                        for when, error in zip(("before", "after"), errors, strict=True)
+                    ),
+                    Badge("yes", "good") if one["ends_well"] else Badge("fooled", "bad"),
+                ]
+            )
+    return [kinds, each]
+
+
+def _details(details: Mapping[str, Any]) -> str:
+    """What is wrong in a world, in words and figures."""
+
+    def value(of: float | str | Sequence[str]) -> str:
+        if isinstance(of, float):
+            return f"{of:.3g}"
+        return of if isinstance(of, str) else " and ".join(of)
+
+    return ", ".join(f"{_words(key)}: {value(of)}" for key, of in details.items())
 
 
 # ---------------------------------------------------------------------------------------------
