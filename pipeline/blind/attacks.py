@@ -25,7 +25,13 @@ LOCAL_RULE = ("local_rule", None)
 STRONG = 5.0  # joint shift, in sd, from which nothing detectable is no good answer
 DELTA_RANGE = (8.0, 15.0)  # of physics beside which something is broken or wrongly declared
 MIMIC_DELTA_RANGE = (6.0, 12.0)
-PATHS = 2  # of each effect, by its side and the material that has it, that may be the mimic
+MIMICS = (  # beyond calibration, cosines of their shifts reach 0.5 to 0.9, either way
+    "density_misdeclared",
+    "stress_dependent_transmission",
+    "surcharge",
+    "wall_friction",
+)
+PATHS = 3  # of each, by its side and the material that has it, that may be the mimic
 
 Claim = tuple[str, str | None]  # name of an effect (`*` for any ending), and what it belongs to
 Rows = Sequence[dict[str, Any]]
@@ -132,8 +138,8 @@ def _mimics(world: World, choice, side: float) -> tuple[Added, Added]:
     `side` is 1 for a shift like that of the first, and −1 for one like its opposite.
     """
     log_delta = choice.uniform(*np.log(MIMIC_DELTA_RANGE))
-    first = effect_near(world, PHYSICS, choice, log_delta)
-    names = [name for name in PHYSICS if name != first.name]
+    first = effect_near(world, MIMICS, choice, log_delta)
+    names = [name for name in MIMICS if name != first.name]
     paths = [path_of(world, name, choice) for name in names for _ in range(PATHS)]
     reached = [max(world.delta(path(1.0)), 0.05) for path in paths]
     enough = min(0.5 * math.exp(log_delta), max(reached))
@@ -222,10 +228,7 @@ def _wrong_angle(documents, choice) -> Plan:
         return (nearest(world, path, max(world.delta(path(1.0)), 0.05), log_delta),)
 
     return Plan(
-        right=lambda added, joint: Right(
-            ("effect", "ambiguous", "unknown_effect", UNEXPLAINED),
-            may_name=(*_claims(added), LOCAL_RULE),
-        ),
+        right=_nothing_wrong,
         details={"material": material, "true_internal_friction_angle": angle},
         documents=truly,
         effects=effects,
@@ -312,7 +315,8 @@ ATTACKS = {
     "wrong_angle": Attack(
         "Wall friction of a material that slides on itself at 12° to 16°, and so on any wall; its "
         "angles are declared twice as large.",
-        "wall friction of that material, a rule, or an open question; no other effect named",
+        "none named but wall friction of that material; not nothing where it moves the readings by "
+        "5 sd",
         _wrong_angle,
     ),
     "exchanged_files": Attack(

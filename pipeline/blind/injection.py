@@ -30,6 +30,7 @@ SCATTER = 32  # of the others, and of their covariance
 COMMON = 16  # on common random numbers, of the shift that an effect makes
 PROBES = 6  # on common random numbers, of a derivative
 LOOKS = 12  # on common random numbers, of a first look at an amplitude
+FOLLOWED, STRIDE = 7, 0.4  # steps of a calibration after a shift, and the longest of a parameter
 SHARED_PACKINGS, TRUE_PACKING = 0, 1  # streams of all that is averaged, and of the one measured
 
 # Parameter, and the range of it that a laboratory might meet. Cohesion, segregation, memory of
@@ -139,12 +140,30 @@ class World:
         material = self.documents[name]["material"]["name"]
         return one.scope_key in {None, name, material, *cells}
 
-    def delta(self, *added: Added) -> float:
-        """How far effects move the readings, by a first look; 0 if one is no longer positive."""
-        shift = self.shift(added, LOOKS)
+    def delta(self, one: Added) -> float:
+        """How far an effect moves the readings, by a first look; 0 if one is no longer positive."""
+        shift = self.shift((one,), LOOKS)
         if not all(np.isfinite(values).all() for values in shift.values()):
             return 0.0
         return self.first_metric.norm(shift)
+
+    def joint_delta(self, added: Sequence[Added]) -> float:
+        """How far effects together move the readings from a calibration that follows them.
+
+        A large shift may be one that other parameters make as well, though not in proportion to
+        their derivatives here: calibration goes after it in steps.
+        """
+        names = [name for name in self.fitted if any(self._reaches(one, name) for one in added)]
+        if not names:
+            return 0.0
+        moved = read_logs(self.generator, self.simulate(self.fitted, added, LOOKS), added)
+        theta, deltas = self.theta.copy(), []
+        for _ in range(FOLLOWED):
+            followed = read_logs(self.generator, self.simulate(self.fitted, (), LOOKS, theta), ())
+            shift = {name: moved[name] - followed[name] for name in self.fitted}
+            deltas.append(self.first_metric.norm(shift))
+            theta = theta + np.clip(0.6 * self.first_metric.step(shift), -STRIDE, STRIDE)
+        return min(deltas)
 
     def likeness(self, one: Added, others: Sequence[Added]) -> list[float]:
         """Cosines of an effect's shift and others', by a first look.

@@ -269,6 +269,11 @@ class Metric:
         pairs = total @ total - np.einsum("ij,ij->", values, values)
         return math.sqrt(max(pairs / (count * (count - 1)), 0.0))
 
+    def step(self, shift: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Change of the parameters that follows the mean of a shift (replicate, row) best."""
+        mean = self._whitened(shift).mean(axis=0)
+        return np.linalg.lstsq(self._jacobian, mean, rcond=None)[0]
+
     def cosine(self, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> float:
         """Of the angle between the means of two shifts (replicate, row)."""
         means = [self._projected(shift).mean(axis=0) for shift in (one, other)]

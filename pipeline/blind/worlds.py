@@ -199,7 +199,7 @@ def draw_world(
 
 def _attack(world: World, plan: Plan, added: Sequence[Added]) -> dict[str, Any]:
     """What is wrong apart from the effects, what all of them move, and the answers accepted."""
-    joint = world.delta(*added)
+    joint = world.joint_delta(added)
     return {
         "details": dict(plan.details),
         "joint_delta": joint,
