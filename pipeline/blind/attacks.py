@@ -24,7 +24,7 @@ NOTHING, UNEXPLAINED = "no_effect_detectable", "unexplained"
 LOCAL_RULE = ("local_rule", None)
 STRONG = 5.0  # joint shift, in sd, from which nothing detectable is no good answer
 DELTA_RANGE = (8.0, 15.0)  # of physics beside which something is broken or wrongly declared
-MIMIC_DELTA_RANGE = (6.0, 12.0)
+MIMIC_DELTA_RANGE = (4.0, 7.0)  # of each; farther, two that are alike drive each other
 MIMICS = (  # beyond calibration, cosines of their shifts reach 0.5 to 0.9, either way
     "density_misdeclared",
     "stress_dependent_transmission",

@@ -82,25 +82,26 @@ class Scored:
         return "attack" in self.truth
 
     @property
-    def ends_well(self) -> bool:
-        """Whether the loop's answer to an attack is one of those that its truth accepts.
+    def added(self) -> list[Claim]:
+        """All that the loop added, rules included, in order."""
+        return [(one["name"], one["scope_key"]) for one in self.result["effects_added"]]
 
-        Rules that it added count among what it names. A name may stand for several, as a file
-        name's pattern does.
-        """
+    @property
+    def is_fooled(self) -> bool:
+        """Whether the loop added to an attacked world what its truth does not accept."""
         right = self.truth["attack"]["right"]
-        added = [(one["name"], one["scope_key"]) for one in self.result["effects_added"]]
+        accepted = (*right["must_name"], *right["may_name"])
+        return not all(any(_fits(one, name) for name in accepted) for one in self.added)
 
-        def fits(claim: Claim, wanted: Sequence[str | None]) -> bool:
-            return fnmatchcase(claim[0], wanted[0]) and claim[1] == wanted[1]
-
+    @property
+    def ends_well(self) -> bool:
+        """Whether the loop's answer to an attack is one of those that its truth accepts."""
+        right = self.truth["attack"]["right"]
+        verdicts = right["verdicts"] or [self.result["verdict"]]
         return (
-            (right["verdicts"] is None or self.result["verdict"] in right["verdicts"])
-            and all(any(fits(one, must) for one in added) for must in right["must_name"])
-            and all(
-                any(fits(one, may) for may in (*right["must_name"], *right["may_name"]))
-                for one in added
-            )
+            not self.is_fooled
+            and self.result["verdict"] in verdicts
+            and all(any(_fits(one, name) for one in self.added) for name in right["must_name"])
         )
 
     @property
@@ -117,6 +118,11 @@ class Scored:
     def candidate_names(self) -> set[str]:
         """Names that the loop leaves open, those that it added included."""
         return {name for name, _ in self.named} | set(self.result["candidate_set"])
+
+
+def _fits(claim: Claim, wanted: Sequence[str | None]) -> bool:
+    """Whether a claim is the wanted one, whose name may have a `*` for any letters."""
+    return fnmatchcase(claim[0], wanted[0]) and claim[1] == wanted[1]
 
 
 def open_world(
@@ -472,6 +478,7 @@ def _attacks(worlds: Sequence[Scored]) -> dict[str, Any]:
         ratios = _ratios(errors)
         table[kind.removeprefix("attack_")] = {
             "ends_well": _share(group, lambda w: w.ends_well),
+            "fooled": _share(group, lambda w: w.is_fooled),
             "gate_rejected": _share(group, lambda w: any(g["rejected"] for g in w.result["gate"])),
             "said": dict(Counter(map(_said, group)).most_common()),
             "held_out_ratio": float(np.median(ratios)) if ratios.size else None,
@@ -479,7 +486,7 @@ def _attacks(worlds: Sequence[Scored]) -> dict[str, Any]:
             "each": [
                 _each(world, error)
                 | {key: world.truth["attack"][key] for key in ("details", "joint_delta")}
-                | {"ends_well": world.ends_well}
+                | {"ends_well": world.ends_well, "fooled": world.is_fooled}
                 for world, error in zip(group, errors, strict=True)
             ],
         }
@@ -488,9 +495,8 @@ def _attacks(worlds: Sequence[Scored]) -> dict[str, Any]:
 
 def _said(world: Scored) -> str:
     """What the loop added, in order, or else its verdict, with the names that it leaves open."""
-    added = [(one["name"], one["scope_key"]) for one in world.result["effects_added"]]
-    if added:
-        return ", ".join(f"{name} ({key})" if key else name for name, key in added)
+    if world.added:
+        return ", ".join(f"{name} ({key})" if key else name for name, key in world.added)
     names = ", ".join(world.result["candidate_set"])
     return f"{world.result['verdict']}: {names}" if names else world.result["verdict"]
 

@@ -413,6 +413,7 @@ def attack_tables(scores: Mapping[str, Any], data: Data) -> list[Table]:
             "Attack",
             "What a user would accept",
             "Ended so",
+            "What is not there named",
             "Gate rejects",
             "What it said, and in how many",
             "Held-out ratio, median",
@@ -449,6 +450,7 @@ def attack_tables(scores: Mapping[str, Any], data: Data) -> list[Table]:
                 ATTACKS[name].words,
                 ATTACKS[name].wanted,
                 _rate(kinds, name, "ended well", found["ends_well"]),
+                _rate(kinds, name, "fooled", found["fooled"]),
                 _rate(kinds, name, "gate rejects", found["gate_rejected"]),
                 said,
                 kinds.number(name, "held-out ratio", found["held_out_ratio"], 3),
@@ -473,10 +475,17 @@ def attack_tables(scores: Mapping[str, Any], data: Data) -> list[Table]:
                         each.number(world, f"error {when}", error.get("rms_log"), 3)
                         for when, error in zip(("before", "after"), errors, strict=True)
                     ),
-                    Badge("yes", "good") if one["ends_well"] else Badge("fooled", "bad"),
+                    _ending(one),
                 ]
             )
     return [kinds, each]
+
+
+def _ending(one: Mapping[str, Any]) -> Badge:
+    """Whether a user would accept how the loop ended, and what is wrong with it if not."""
+    if one["ends_well"]:
+        return Badge("yes", "good")
+    return Badge("fooled", "bad") if one["fooled"] else Badge("no", "warn")
 
 
 def _details(details: Mapping[str, Any]) -> str:

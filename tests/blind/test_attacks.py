@@ -161,27 +161,29 @@ def attacked(verdicts=None, must=(), may=(), *effects, name="exchanged_files", *
 
 
 @pytest.mark.parametrize(
-    ("right", "said", "well"),
+    ("right", "said", "ending"),
     [
-        ((["no_effect_detectable"],), result(), True),
-        ((["no_effect_detectable"],), result("unexplained"), False),
-        ((None,), result("ambiguous", candidates=["tilt"]), True),
-        ((None,), result("effect", ("tilt", None, 0.95)), False),
-        ((None, [], [["tilt", None]]), result("effect", ("tilt", None, 0.95)), True),
-        ((None, [["tilt", None]]), result(), False),
-        ((None, [["tilt", None]]), result("effect", ("tilt", None, 0.9)), True),
-        ((None, [["sensor_*", "C3"]]), result("effect", ("sensor_gain", "C3", 0.9)), True),
-        ((None, [["sensor_*", "C3"]]), result("effect", ("sensor_gain", "C2", 0.9)), False),
-        ((None, [], []), result("unknown_effect", ("local_rule", None, 0.9)), False),
+        ((["no_effect_detectable"],), result(), "yes"),
+        ((["no_effect_detectable"],), result("unexplained"), "no"),
+        ((None,), result("ambiguous", candidates=["tilt"]), "yes"),
+        ((None,), result("effect", ("tilt", None, 0.95)), "fooled"),
+        ((None, [], [["tilt", None]]), result("effect", ("tilt", None, 0.95)), "yes"),
+        ((None, [["tilt", None]]), result(), "no"),
+        ((None, [["tilt", None]]), result("effect", ("tilt", None, 0.9)), "yes"),
+        ((None, [["sensor_*", "C3"]]), result("effect", ("sensor_gain", "C3", 0.9)), "yes"),
+        ((None, [["sensor_*", "C3"]]), result("effect", ("sensor_gain", "C2", 0.9)), "fooled"),
+        ((None, [], []), result("unknown_effect", ("local_rule", None, 0.9)), "fooled"),
         (
             (None, [["tilt", None]], [["sensor_*", "C3"]]),
             result("effect", ("tilt", None, 0.9), ("surcharge", None, 0.9)),
-            False,
+            "fooled",
         ),
     ],
 )
-def test_what_a_user_would_accept(right, said, well):
-    assert Scored(attacked(*right), said).ends_well is well
+def test_what_a_user_would_accept(right, said, ending):
+    scores = score([Scored(attacked(*right), said)])
+    _, each = attack_tables(scores, Data())
+    assert each.rows[0][-1].text == ending
 
 
 def test_attacks_count_in_their_own_table_alone():
@@ -217,7 +219,7 @@ def test_the_page_shows_what_fooled_it():
     scores = score([Scored(attacked(), result("effect", ("tilt", None, 0.9)))])
     kinds, each = attack_tables(scores, Data())
     assert kinds.rows[0][0] == ATTACKS["exchanged_files"].words
-    assert kinds.rows[0][4].striptags() == "tilt (1)"
+    assert kinds.rows[0][5].striptags() == "tilt (1)"
     assert "static_1 and static_4" in each.rows[0][3]
     assert each.rows[0][-1].text == "fooled"
     assert attack_tables(score([]), Data()) == []
