@@ -160,7 +160,7 @@ def _held_out_only(documents, choice) -> Plan:
     where = str(choice.choice(laboratory.HELD_OUT))
     drawn = "draw" in documents[where]
     names = ("arching", "pillar_relaxation") if drawn else ("surcharge", "wall_friction")
-    name, part = str(choice.choice(names)), float(choice.uniform(0.5, 1.0))
+    name, part = str(choice.choice(names)), float(choice.uniform(0.8, 1.0))
     parameter, _, high = AMPLITUDES[name]
     return Plan(
         right=lambda added, joint: Right((NOTHING,)),
