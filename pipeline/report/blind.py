@@ -40,14 +40,14 @@ PEERS = {
     ),
 }
 REMARKS = {  # by attack: what the first worlds showed, what was mended and what was not
-    "noise_everywhere": "Held in the first two worlds: the parts of the noise are estimated from the "
-    "data.",
+    "noise_everywhere": "Held in the first two worlds: the parts of the noise are estimated "
+    "from the data.",
     "noise_shared": "Held in the first world, likewise.",
     "noise_of_one_cell": "Held in the first world, likewise.",
     "mimics_alike": "Not mended: in one of the first two worlds both were named and nothing else, "
     "in the other wall friction came with a value of 0 for the material that has none.",
-    "mimics_cancelling": "In the first two worlds 3 sd were left of both together, and nothing was "
-    "detected.",
+    "mimics_cancelling": "In the first two worlds 3 sd or less were left of both together, and "
+    "nothing was detected.",
     "held_out_only": "Not mended: no calibration reading shows it. The held-out error does.",
     "gain_beside_physics": "Held in the first two worlds: both named.",
     "stuck_beside_physics": "Not mended: the catalogue has no such fault. In the first two worlds "
