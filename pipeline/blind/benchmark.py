@@ -20,6 +20,7 @@ def run_benchmark(
     folder: Path | str,
     count: int,
     hard_nulls: int = 0,
+    attacks: int = 0,
     seed: int | None = None,
     workers: int = 1,
     code: str = "",
@@ -29,7 +30,7 @@ def run_benchmark(
     Its `broken` lists the quantities whose rate is beyond the bar with 95 % certainty.
     Parameters are those of `run_worlds`.
     """
-    run_worlds(folder, count, hard_nulls, seed, workers, code)
+    run_worlds(folder, count, hard_nulls, attacks, seed, workers, code)
     return score_benchmark(folder)
 
 

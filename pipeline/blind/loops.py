@@ -37,6 +37,7 @@ def run_worlds(
     folder: Path | str,
     count: int,
     hard_nulls: int = 0,
+    attacks: int = 0,
     seed: int | None = None,
     workers: int = 1,
     code: str = "",
@@ -45,7 +46,8 @@ def run_worlds(
 
     Parameters
     ----------
-    count, hard_nulls : worlds of the mix, and hard nulls of each of the two kinds
+    count, hard_nulls, attacks : worlds of the mix, hard nulls of each of the two kinds, and attacks
+        of each kind
     seed : of the worlds; None: the one with which the commit under test is scored
     workers : processes; they change no number
     code : digest of the code that runs. A world that the same code has finished on the same files
@@ -59,7 +61,7 @@ def run_worlds(
     folder, commit = Path(folder), git_revision()
     seed = scoring_seed(commit) if seed is None else seed
     worlds, truths = folder / "worlds", folder / "sealed"
-    names = make_worlds(worlds, truths, count, seed, hard_nulls, workers)
+    names = make_worlds(worlds, truths, count, seed, hard_nulls, attacks, workers)
     one = partial(_seconds_of, worlds, truths, code)
     seconds = each("blind worlds, the loop", one, names, workers)
     content = {
@@ -68,6 +70,7 @@ def run_worlds(
         "seed": seed,
         "seed_is_the_commits": commit != "unknown" and seed == scoring_seed(commit),
         "hard_nulls_of_each_kind": hard_nulls,
+        "attacks_of_each_kind": attacks,
         "seconds": dict(zip(names, seconds, strict=True)),
         "versions": {"pipeline": __version__},
     }

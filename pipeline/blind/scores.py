@@ -12,6 +12,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,34 @@ class Scored:
         ]
 
     @property
+    def is_attack(self) -> bool:
+        """Whether the world was written to fool the loop."""
+        return "attack" in self.truth
+
+    @property
+    def added(self) -> list[Claim]:
+        """All that the loop added, rules included, in order."""
+        return [(one["name"], one["scope_key"]) for one in self.result["effects_added"]]
+
+    @property
+    def is_fooled(self) -> bool:
+        """Whether the loop added to an attacked world what its truth does not accept."""
+        right = self.truth["attack"]["right"]
+        accepted = (*right["must_name"], *right["may_name"])
+        return not all(any(_fits(one, name) for name in accepted) for one in self.added)
+
+    @property
+    def ends_well(self) -> bool:
+        """Whether the loop's answer to an attack is one of those that its truth accepts."""
+        right = self.truth["attack"]["right"]
+        verdicts = right["verdicts"] or [self.result["verdict"]]
+        return (
+            not self.is_fooled
+            and self.result["verdict"] in verdicts
+            and all(any(_fits(one, name) for one in self.added) for name in right["must_name"])
+        )
+
+    @property
     def claims(self) -> bool:
         """Whether the loop says that anything is missing."""
         return self.result["verdict"] != NO_CLAIM
@@ -89,6 +118,11 @@ class Scored:
     def candidate_names(self) -> set[str]:
         """Names that the loop leaves open, those that it added included."""
         return {name for name, _ in self.named} | set(self.result["candidate_set"])
+
+
+def _fits(claim: Claim, wanted: Sequence[str | None]) -> bool:
+    """Whether a claim is the wanted one, whose name may have a `*` for any letters."""
+    return fnmatchcase(claim[0], wanted[0]) and claim[1] == wanted[1]
 
 
 def open_world(
@@ -115,7 +149,10 @@ def score(worlds: Sequence[Scored]) -> dict[str, Any]:
     Rates are documents {count, of, rate, low, high, lower_95, upper_95}: an exact two-sided 95 %
     interval, and the one-sided 95 % bounds. Rates of nothing are None. `broken` lists the
     quantities whose rate is beyond the bar by its one-sided bound, as a small edition can show.
+    Attacks have a table of their own, and count in no other.
     """
+    attacks = [world for world in worlds if world.is_attack]
+    worlds = [world for world in worlds if not world.is_attack]
     nulls = {kind: [w for w in worlds if w.kind == kind] for kind in NULLS}
     single = [w for w in worlds if w.kind in SINGLE]
     soft = [w for w in worlds if w.kind not in NULLS[1:]]
@@ -140,6 +177,7 @@ def score(worlds: Sequence[Scored]) -> dict[str, Any]:
         "outside": _outside([w for w in worlds if w.kind == "outside"]),
         "two": _two([w for w in worlds if w.kind == "two"], lambda w: w.named),
         "peers": _peers(worlds),
+        "attacks": _attacks(attacks),
         "seconds": _seconds(worlds),
         "each": [_each(world, error) for world, error in zip(worlds, errors, strict=True)],
     }
@@ -429,6 +467,38 @@ def _peers(worlds: Sequence[Scored]) -> dict[str, Any]:
             "two": _two(two, lambda w, n=name: [tuple(claim) for claim in w.peers[n]]),
         }
     return table
+
+
+def _attacks(worlds: Sequence[Scored]) -> dict[str, Any]:
+    """By kind of attack: how many ended well, what the loop said, and held-out ratios."""
+    table = {}
+    for kind in dict.fromkeys(world.kind for world in worlds):
+        group = [world for world in worlds if world.kind == kind]
+        errors = [_held_out(world) for world in group]
+        ratios = _ratios(errors)
+        table[kind.removeprefix("attack_")] = {
+            "ends_well": _share(group, lambda w: w.ends_well),
+            "fooled": _share(group, lambda w: w.is_fooled),
+            "gate_rejected": _share(group, lambda w: any(g["rejected"] for g in w.result["gate"])),
+            "said": dict(Counter(map(_said, group)).most_common()),
+            "held_out_ratio": float(np.median(ratios)) if ratios.size else None,
+            "made_worse": rate(int((ratios > WORSE).sum()), ratios.size),
+            "each": [
+                _each(world, error)
+                | {key: world.truth["attack"][key] for key in ("details", "joint_delta")}
+                | {"ends_well": world.ends_well, "fooled": world.is_fooled}
+                for world, error in zip(group, errors, strict=True)
+            ],
+        }
+    return table
+
+
+def _said(world: Scored) -> str:
+    """What the loop added, in order, or else its verdict, with the names that it leaves open."""
+    if world.added:
+        return ", ".join(f"{name} ({key})" if key else name for name, key in world.added)
+    names = ", ".join(world.result["candidate_set"])
+    return f"{world.result['verdict']}: {names}" if names else world.result["verdict"]
 
 
 def _each(world: Scored, error: Mapping) -> dict[str, Any]:

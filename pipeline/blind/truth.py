@@ -260,15 +260,31 @@ class Metric:
         """Norm of the mean of a shift (replicate, row), free of the replicates' scatter.
 
         Products of different replicates alone are summed, so that scatter adds nothing. What
-        lies along the mean shifts `beside` is left out too.
+        lies along the mean shifts `beside` is left out too. 0 of a shift of no experiment.
         """
-        others = [self._whitened(one).mean(axis=0) for one in beside]
-        basis, _ = np.linalg.qr(np.column_stack([self._jacobian, *others]))
-        values = self._whitened(shift)
-        values = values - values @ basis @ basis.T
+        if not shift:
+            return 0.0
+        values = self._projected(shift, beside)
         count, total = len(values), values.sum(axis=0)
         pairs = total @ total - np.einsum("ij,ij->", values, values)
         return math.sqrt(max(pairs / (count * (count - 1)), 0.0))
+
+    def step(self, shift: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Change of the parameters that follows the mean of a shift (replicate, row) best."""
+        mean = self._whitened(shift).mean(axis=0)
+        return np.linalg.lstsq(self._jacobian, mean, rcond=None)[0]
+
+    def cosine(self, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> float:
+        """Of the angle between the means of two shifts (replicate, row)."""
+        means = [self._projected(shift).mean(axis=0) for shift in (one, other)]
+        return float(means[0] @ means[1] / np.prod([np.linalg.norm(mean) for mean in means]))
+
+    def _projected(self, shift: Mapping[str, np.ndarray], beside=()) -> np.ndarray:
+        """Whitened values (replicate, row), without what calibration or `beside` explain."""
+        others = [self._whitened(one).mean(axis=0) for one in beside]
+        basis, _ = np.linalg.qr(np.column_stack([self._jacobian, *others]))
+        values = self._whitened(shift)
+        return values - values @ basis @ basis.T
 
     def _whitened(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
         """All experiments' whitened values (replicate, row), 0 of one that is missing."""

@@ -14,7 +14,7 @@ import io
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,16 @@ import numpy as np
 import yaml
 
 from pipeline.blind import independent, laboratory
+from pipeline.blind.attacks import ATTACKED, ATTACKS, Plan, attack_of
+from pipeline.blind.injection import (
+    INDEPENDENT_PHYSICS,
+    INPUTS,
+    OWN,
+    PHYSICS,
+    SHARED,
+    World,
+    effect_near,
+)
 from pipeline.blind.outside import OUTSIDE
 from pipeline.blind.tasks import each
 from pipeline.blind.truth import (
@@ -29,28 +39,16 @@ from pipeline.blind.truth import (
     THETA,
     THETA_STD,
     Added,
-    Generator,
     IndependentGenerator,
     LatticeGenerator,
-    Metric,
     Row,
-    read_logs,
-    replicates,
-    rows_of,
     true_parameters,
 )
 from pipeline.files.atomic import read_json, write_json, write_text
 
 FORMAT_VERSION = 1
-SHARED, OWN = 0.08, 0.055  # of a CV of 10 %: what a load cell's readings share, and each its own
 UNDERSTATED = 1.5  # true over declared noise of the nulls whose noise is understated
 HARD_NULLS = 5000  # index from which worlds are hard nulls, of the two kinds in turn
-REPLICATES = 64  # of the noise-free means of held-out experiments
-SCATTER = 32  # of the others, and of their covariance
-COMMON = 16  # on common random numbers, of the shift that an effect makes
-PROBES = 4  # on common random numbers, of a derivative
-LOOKS = 8  # on common random numbers, of a first look at an amplitude
-SHARED_PACKINGS, TRUE_PACKING = 0, 1  # streams of all that is averaged, and of the one measured
 DELTA_RANGE = (1.0, 20.0)
 PAIR_DELTA_RANGE = (3.0, 20.0)
 
@@ -67,43 +65,6 @@ MIX = (  # of every twenty worlds
     ("sensor_or_input", "independent"),
 )
 
-# Parameter, and the range of it that a laboratory might meet. Cohesion, segregation, memory of
-# arches and a looser movement zone move no reading of this laboratory by one standard deviation
-# whatever their amplitude; packing variability moves no mean at all.
-AMPLITUDES = {
-    "arching": ("transfer", 0.0, 1.0),
-    "compaction": ("index", 0.0, 0.3),
-    "pillar_relaxation": ("width", 0.0, 2.0),
-    "relaxation_in_time": ("rate", 0.0, 0.5),
-    "stress_dependent_transmission": ("slope", -0.8, 0.8),
-    "surcharge": ("stress", 0.0, 6.0),
-    "tilt": ("angle_x", -15.0, 15.0),
-    "wall_friction": ("K", 0.0, 1.0),
-    "density_misdeclared": ("factor", 0.6, 1.6),
-    "fill_height_misdeclared": ("factor", 0.7, 1.3),
-    "sensor_gain": ("gain", 0.4, 2.5),
-    "sensor_offset": ("offset", -2.5, 8.0),
-    "sensor_drift": ("rate", -0.025, 0.05),
-}
-INPUTS = ("density_misdeclared", "fill_height_misdeclared")
-FACTORS = (*INPUTS, "sensor_gain")  # neutral at 1
-PHYSICS = tuple(name for name in AMPLITUDES if name not in (*INPUTS, *SENSORS))
-OF_MATERIAL = (
-    "compaction",
-    "density_misdeclared",
-    "stress_dependent_transmission",
-    "wall_friction",
-)
-INDEPENDENT_PHYSICS = (  # written for the independent generator too
-    "arching",
-    "compaction",
-    "pillar_relaxation",
-    "stress_dependent_transmission",
-    "surcharge",
-    "tilt",
-    "wall_friction",
-)
-
 
 def make_worlds(
     root: Path | str,
@@ -111,14 +72,19 @@ def make_worlds(
     count: int,
     seed: int,
     hard_nulls: int = 0,
+    attacks: int = 0,
     workers: int = 1,
 ) -> list[str]:
-    """Write `count` worlds of the mix, and as many hard nulls of each kind as asked for.
+    """Write `count` worlds of the mix, and as many of each hard null and attack as asked for.
 
     Worlds that are there already and match their truth are kept. Returns their names in order,
     after `hashes.json` is written under `root`; `workers` processes change no number.
     """
-    indices = [*range(count), *range(HARD_NULLS, HARD_NULLS + 2 * hard_nulls)]
+    indices = [
+        *range(count),
+        *range(HARD_NULLS, HARD_NULLS + 2 * hard_nulls),
+        *range(ATTACKED, ATTACKED + len(ATTACKS) * attacks),
+    ]
     one = partial(make_world, Path(root), Path(sealed_root), seed)
     digests = each("blind worlds, making them", one, indices, workers)
     names = [world_name(index) for index in indices]
@@ -163,6 +129,8 @@ def digest_of(content: bytes) -> str:
 
 def kind_of(seed: int, index: int) -> tuple[str, str]:
     """What kind of truth a world has, and which generator makes its data."""
+    if index >= ATTACKED:
+        return f"attack_{attack_of(index)}", "lattice"
     if index >= HARD_NULLS:
         pair, place = divmod(index - HARD_NULLS, 2)
         kind = ("null_heavy_tails", "null_understated_noise")[place]
@@ -188,16 +156,24 @@ def draw_world(
     choice = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, index)))
     documents = laboratory.documents(int(choice.integers(2**31)))
     theta = np.array(THETA_STD) * choice.standard_normal(len(THETA))
-    source = LatticeGenerator(documents)
+    attack = ATTACKS.get(kind.removeprefix("attack_"))
+    plan = attack.plan(documents, choice) if attack else Plan()
+    truly = plan.documents(documents)
+    source = LatticeGenerator(truly)
     if generator == "independent":
-        source = IndependentGenerator(documents, _physics(kind, choice))
-    world = _World(source, documents, theta, (seed, 3, index))
-    added = _effects(world, kind, generator, choice, delta_range)
+        source = IndependentGenerator(truly, _physics(kind, choice))
+    world = World(source, truly, theta, (seed, 3, index))
+    if attack:
+        added = plan.effects(world, choice)
+    else:
+        added = _effects(world, kind, generator, choice, delta_range)
     effects, rows = world.truth_of(added)
-    for row, error in zip(rows, _noise(kind, world.all_rows, choice), strict=True):
+    plan.misread(rows)
+    for row, error in zip(rows, _noise(kind, world.all_rows, choice, plan.noise), strict=True):
         row["measured"] = float(f"{row['reading'] * math.exp(error):.6g}")
+    plan.misfile(rows)
     files = _files(world_name(index), documents, rows)
-    return files, {
+    truth = {
         "format_version": FORMAT_VERSION,
         "world": world_name(index),
         "seed": seed,
@@ -216,121 +192,20 @@ def draw_world(
         "files": {path: digest_of(text.encode()) for path, text in files.items()},
         "rows": rows,
     }
+    if attack:
+        truth["attack"] = _attack(world, plan, added)
+    return files, truth
 
 
-# ---------------------------------------------------------------------------------------------
-# truths
-
-
-class _World:
-    """One laboratory: its generator, its true parameters, and what was simulated of it so far."""
-
-    def __init__(self, generator: Generator, documents, theta: np.ndarray, seed: Sequence[int]):
-        self.generator, self.documents, self.theta, self.seed = generator, documents, theta, seed
-        self.fitted = [name for name in documents if name not in laboratory.HELD_OUT]
-        self.rows = {name: rows_of(name, documents[name]) for name in documents}
-        self.all_rows = [row for rows in self.rows.values() for row in rows]
-
-    def simulate(self, names, added, count, theta=None, packings=SHARED_PACKINGS):
-        """Ground stress (replicate, time, load_cell) in kPa by experiment."""
-        theta = self.theta if theta is None else theta
-        return replicates(self.generator, names, theta, added, (*self.seed, packings), count)
-
-    @cached_property
-    def base(self) -> dict[str, np.ndarray]:
-        """Ground stress without any effect."""
-        return self.simulate(self.fitted, (), COMMON)
-
-    @cached_property
-    def jacobian(self) -> list[dict[str, np.ndarray]]:
-        """Derivative of the mean log readings, (1, row) by experiment, for each of `THETA`."""
-        derivatives = []
-        for place, std in enumerate(THETA_STD):
-            names = [name for name in self.fitted if self._depends(name, THETA[place])]
-            logs = []
-            for step in (0.5 * std, -0.5 * std):
-                theta = self.theta.copy()
-                theta[place] += step
-                stress = self.simulate(names, (), PROBES, theta)
-                logs.append(read_logs(self.generator, stress, ()))
-            up, down = logs
-            derivatives.append({n: (up[n] - down[n]).mean(axis=0)[None] / std for n in names})
-        return derivatives
-
-    def _depends(self, name: str, parameter: str) -> bool:
-        document = self.documents[name]
-        if parameter.startswith("E:"):
-            return parameter == f"E:{document['material']['name']}"
-        return parameter == "s" or "draw" in document
-
-    @cached_property
-    def first_metric(self) -> Metric:
-        """How far readings move beyond what calibration reaches, by the scatter without effects."""
-        return self.metric(read_logs(self.generator, self.base, ()))
-
-    def metric(self, logs: Mapping[str, np.ndarray]) -> Metric:
-        """The same by the scatter of these logs (replicate, row)."""
-        return Metric(logs, self.rows, (SHARED, OWN), self.jacobian)
-
-    def shift(self, added: Sequence[Added], count: int, after=None) -> dict[str, np.ndarray]:
-        """Change of log readings (replicate, row) by these effects, on common random numbers.
-
-        `after` is the ground stress with them where it is known.
-        """
-        names = [n for n in self.fitted if any(self._reaches(one, n) for one in added)]
-        before = {name: self.base[name][:count] for name in names}
-        if after is None:
-            in_ground = any(one.name not in SENSORS for one in added)
-            after = self.simulate(names, added, count) if in_ground else before
-        before = read_logs(self.generator, before, ())
-        after = read_logs(self.generator, {name: after[name][:count] for name in names}, added)
-        return {name: after[name] - before[name] for name in names}
-
-    def _reaches(self, one: Added, name: str) -> bool:
-        cells = {row.load_cell for row in self.rows[name]} if one.name in SENSORS else set()
-        material = self.documents[name]["material"]["name"]
-        return one.scope_key in {None, name, material, *cells}
-
-    def delta(self, one: Added) -> float:
-        """How far an effect moves the readings, by a first look; 0 if one is no longer positive."""
-        shift = self.shift((one,), LOOKS)
-        if not all(np.isfinite(values).all() for values in shift.values()):
-            return 0.0
-        return self.first_metric.norm(shift)
-
-    def truth_of(self, added: Sequence[Added]) -> tuple[list[dict], list[dict]]:
-        """Documents of the effects, with how far each moves the readings, and of the rows."""
-        stress = self.simulate(self.fitted, added, SCATTER)
-        stress |= self.simulate(laboratory.HELD_OUT, added, REPLICATES)
-        packing = self.simulate(self.documents, added, 1, packings=TRUE_PACKING)
-        effects = [self._effect(one, added, stress) for one in added]
-        rows = []
-        for name, of_name in self.rows.items():
-            of_ground = np.log(stress[name]).reshape(len(stress[name]), -1)
-            (true,) = packing[name]
-            columns = {
-                "stress": np.exp(of_ground.mean(axis=0)),
-                "log_std": of_ground.std(axis=0, ddof=1),
-                "packing": true.ravel(),
-                "reading": self.generator.as_read(name, true, added).ravel(),
-            }
-            for place, row in enumerate(of_name):
-                values = {key: float(column[place]) for key, column in columns.items()}
-                rows.append(asdict(row) | {"held_out": row.held_out} | values)
-        return effects, rows
-
-    def _effect(self, one: Added, added: Sequence[Added], stress) -> dict[str, Any]:
-        logs = read_logs(self.generator, {name: stress[name] for name in self.fitted}, added)
-        metric = self.metric(logs)
-        others = [self.shift((other,), COMMON) for other in added if other != one]
-        shift = self.shift((one,), COMMON, None if others else stress)
-        document = one.document() | {"delta": metric.norm(shift)}
-        if others:
-            document["delta_beside_others"] = metric.norm(shift, beside=others)
-        kind = OUTSIDE.get(one.name) or independent.CHANGES.get(one.name)
-        if kind is not None:
-            document |= {"words": kind.words, "channel": kind.channel, "place": list(kind.place)}
-        return document
+def _attack(world: World, plan: Plan, added: Sequence[Added]) -> dict[str, Any]:
+    """What is wrong apart from the effects, what all of them move, and the answers accepted."""
+    joint = world.joint_delta(added)
+    return {
+        "details": dict(plan.details),
+        "joint_delta": joint,
+        "held_out_rms_log": world.moved_held_out(added),
+        "right": asdict(plan.right(added, joint)),
+    }
 
 
 def _physics(kind: str, choice: np.random.Generator) -> independent.Physics:
@@ -343,7 +218,7 @@ def _physics(kind: str, choice: np.random.Generator) -> independent.Physics:
     )
 
 
-def _effects(world: _World, kind: str, generator: str, choice, delta_range) -> tuple[Added, ...]:
+def _effects(world: World, kind: str, generator: str, choice, delta_range) -> tuple[Added, ...]:
     """Effects of a world of this kind, by what they should move the readings."""
     if kind.startswith("null"):
         return ()
@@ -357,74 +232,21 @@ def _effects(world: _World, kind: str, generator: str, choice, delta_range) -> t
     added = []
     for _ in range(2 if kind == "two" else 1):
         names = [name for name in pool if name not in {one.name for one in added}]
-        added.append(_effect_near(world, names, choice, choice.uniform(*np.log([low, high]))))
+        added.append(effect_near(world, names, choice, choice.uniform(*np.log([low, high]))))
     return tuple(added)
-
-
-def _effect_near(world: _World, names: Sequence[str], choice, log_delta: float) -> Added:
-    """The first of the effects, in random order, that can move the readings so far.
-
-    Where none can, it is the one that moves them most.
-    """
-    most, farthest = -1.0, None
-    for name in choice.permutation(list(names)):
-        path = _path(world, str(name), choice)
-        reached = world.delta(path(1.0))
-        if reached >= math.exp(log_delta):
-            return _nearest(world, path, reached, log_delta)
-        if reached > most:
-            most, farthest = reached, path(1.0)
-    return farthest
-
-
-def _path(world: _World, name: str, choice) -> Callable[[float], Added]:
-    """An effect on one of its sides, from neutral (0) to the end of its range (1)."""
-    if name in AMPLITUDES:
-        parameter, low, high = AMPLITUDES[name]
-    else:
-        kind = OUTSIDE.get(name) or independent.CHANGES[name]
-        parameter, low, high = "amplitude", kind.low, kind.high
-    key = _scope_key(world, name, choice)
-    neutral = 1.0 if name in FACTORS else 0.0
-    end = choice.choice([end for end in (low, high) if end != neutral])
-    return lambda part: Added(name, key, {parameter: float(neutral + part * (end - neutral))})
-
-
-def _nearest(world: _World, path: Callable, reached: float, log_delta: float) -> Added:
-    """The effect on its path that moves the readings by about so much, `reached` at its end.
-
-    How far it moves them is taken for a power of the way along the path.
-    """
-    part, power = 1.0, 1.0
-    for _ in range(3):
-        ahead = log_delta - math.log(reached)
-        if abs(ahead) < 0.1:
-            break
-        nearer = min(part * math.exp(ahead / power), 1.0)
-        then = max(world.delta(path(nearer)), 0.05)
-        if nearer != part and then != reached:
-            power = max(math.log(then / reached) / math.log(nearer / part), 0.2)
-        part, reached = nearer, then
-    return path(part)
-
-
-def _scope_key(world: _World, name: str, choice) -> str | None:
-    if name in SENSORS:
-        cells = sorted({row.load_cell for row in world.all_rows})
-        return str(choice.choice(cells))
-    if name in OF_MATERIAL:
-        return str(choice.choice(list(laboratory.MATERIALS)))
-    if name == "fill_height_misdeclared":
-        return str(choice.choice(world.fitted))
-    return None
 
 
 # ---------------------------------------------------------------------------------------------
 # data and files
 
 
-def _noise(kind: str, rows: Sequence[Row], choice: np.random.Generator) -> Iterator[float]:
-    """Log errors of the instruments, one for each row."""
+def _noise(
+    kind: str,
+    rows: Sequence[Row],
+    choice: np.random.Generator,
+    times: Callable[[Row], tuple[float, float]],
+) -> Iterator[float]:
+    """Log errors of the instruments, one for each row, its parts so many `times` as declared."""
 
     def draw() -> float:
         if kind == "null_heavy_tails":
@@ -436,7 +258,8 @@ def _noise(kind: str, rows: Sequence[Row], choice: np.random.Generator) -> Itera
         key = row.experiment, row.load_cell
         if key not in shared:
             shared[key] = draw()
-        yield SHARED * shared[key] + OWN * draw()
+        of_shared, of_own = times(row)
+        yield of_shared * SHARED * shared[key] + of_own * OWN * draw()
 
 
 def _files(name: str, documents: Mapping[str, Any], rows: Sequence[Mapping]) -> dict[str, str]:

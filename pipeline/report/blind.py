@@ -8,6 +8,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from pipeline.blind.attacks import ATTACKS
 from pipeline.files.atomic import write_text
 from pipeline.report.figures import BLUE, MUTED, Panel, panel_style
 from pipeline.report.page import MISSING, Badge, Data, Figure, Link, Table, parts, render
@@ -37,6 +38,25 @@ PEERS = {
     "thresholded_least_squares_whitened": (
         "sequentially thresholded least squares, covariance known"
     ),
+}
+REMARKS = {  # by attack: what the first worlds showed, what was mended and what was not
+    "noise_everywhere": "Held in the first two worlds: the parts of the noise are estimated "
+    "from the data.",
+    "noise_shared": "Held in the first world, likewise.",
+    "noise_of_one_cell": "Held in the first world, likewise.",
+    "mimics_alike": "Not mended: in one of the first two worlds both were named and nothing else, "
+    "in the other wall friction came with a value of 0 for the material that has none.",
+    "mimics_cancelling": "In the first two worlds 3 sd or less were left of both together, and "
+    "nothing was detected.",
+    "held_out_only": "Not mended: no calibration reading shows it. The held-out error does.",
+    "gain_beside_physics": "Held in the first two worlds: both named.",
+    "stuck_beside_physics": "Not mended: the catalogue has no such fault. In the first two worlds "
+    "the fault or the effect stayed open, and nothing wrong was named; without that load cell's "
+    "readings the one that was tried again ended with the effect alone.",
+    "wrong_angle": "In the first two worlds, both of sand, calibration followed it to 3 sd, though "
+    "its derivatives promise 9 and more, and nothing was detected.",
+    "exchanged_files": "Not mended: the first two worlds were left open between heights, densities "
+    "and other names; that files are exchanged is no hypothesis of the loop.",
 }
 INTERVAL = "In brackets: of how many, and the exact 95 % interval."
 
@@ -71,6 +91,7 @@ def blind_page(scores: Mapping[str, Any], data: Data, file_names: Iterable[str])
         answers=answer_table(scores, data),
         held_out=held_out_table(scores, data),
         peers=peer_table(scores, data),
+        attacks=attack_tables(scores, data),
         worlds=world_table(scores, data),
         provenance=provenance_table(scores, data),
         files=list(file_names),
@@ -396,6 +417,104 @@ def peer_table(scores: Mapping[str, Any], data: Data) -> Table:
         exact = _rate(table, words, "two effects", rates["two"]["all"]["exact_set"])
         table.rows.append([words, *cells, exact])
     return table
+
+
+def attack_tables(scores: Mapping[str, Any], data: Data) -> list[Table]:
+    """Worlds written to fool the loop: by kind, and each; [] where none was asked for."""
+    if not scores["attacks"]:
+        return []
+    kinds = Table(
+        "attacks",
+        f"Worlds that were written to fool the loop; they count in no other table. {INTERVAL} "
+        "Held-out ratio: error after over before, against noise-free truth.",
+        [
+            "Attack",
+            "What a user would accept",
+            "Ended so",
+            "What is not there named",
+            "Gate rejects",
+            "What it said, and in how many",
+            "Held-out ratio, median",
+            "Made worse",
+            "Mended, or not",
+        ],
+        data,
+    )
+    each = Table(
+        "attack_worlds",
+        "Each of these worlds. δ together: how far all effects move the readings.",
+        [
+            "World",
+            "Attack",
+            "Truth",
+            "Also wrong",
+            "δ together",
+            "Verdict",
+            "Named",
+            "90 % set",
+            "Error: before",
+            "Error: after",
+            "Accepted",
+        ],
+        data,
+    )
+    for name, found in scores["attacks"].items():
+        said = Markup("; ").join(
+            parts("{} ({})", words, kinds.number(name, f"said: {words}", count, 0))
+            for words, count in found["said"].items()
+        )
+        kinds.rows.append(
+            [
+                ATTACKS[name].words,
+                ATTACKS[name].wanted,
+                _rate(kinds, name, "ended well", found["ends_well"]),
+                _rate(kinds, name, "fooled", found["fooled"]),
+                _rate(kinds, name, "gate rejects", found["gate_rejected"]),
+                said,
+                kinds.number(name, "held-out ratio", found["held_out_ratio"], 3),
+                _rate(kinds, name, "made worse", found["made_worse"]),
+                REMARKS.get(name, MISSING),
+            ]
+        )
+        for one in found["each"]:
+            world = one["world"]
+            errors = (one["held_out"].get(when, {}) for when in ("before", "after"))
+            each.rows.append(
+                [
+                    Link(world, f"worlds/{world}/closed_loop.json"),
+                    _words(name),
+                    Link(_claims(one["true"]) or "nothing", f"sealed/{world}.json"),
+                    _details(one["details"]) or MISSING,
+                    each.number(world, "joint delta", one["joint_delta"], 1),
+                    _words(one["verdict"]),
+                    _claims(one["named"]) or MISSING,
+                    ", ".join(one["candidate_set"]) or MISSING,
+                    *(
+                        each.number(world, f"error {when}", error.get("rms_log"), 3)
+                        for when, error in zip(("before", "after"), errors, strict=True)
+                    ),
+                    _ending(one),
+                ]
+            )
+    return [kinds, each]
+
+
+def _ending(one: Mapping[str, Any]) -> Badge:
+    """Whether a user would accept how the loop ended, and what is wrong with it if not."""
+    if one["ends_well"]:
+        return Badge("yes", "good")
+    return Badge("fooled", "bad") if one["fooled"] else Badge("no", "warn")
+
+
+def _details(details: Mapping[str, Any]) -> str:
+    """What is wrong in a world, in words and figures."""
+
+    def value(of: float | str | Sequence[str]) -> str:
+        if isinstance(of, float):
+            return f"{of:.3g}"
+        return of if isinstance(of, str) else " and ".join(of)
+
+    return ", ".join(f"{_words(key)}: {value(of)}" for key, of in details.items())
 
 
 # ---------------------------------------------------------------------------------------------

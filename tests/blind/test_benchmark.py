@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.blind import laboratory, loops, worlds
+from pipeline.blind import injection, laboratory, loops, worlds
 from pipeline.blind.benchmark import run_benchmark, score_benchmark
 from pipeline.blind.loops import close_world, run_worlds
 from pipeline.blind.scores import SealBrokenError
@@ -32,7 +32,7 @@ def small():
     patch.setattr(laboratory, "DRAWS", {"isolated": laboratory.DRAWS["isolated"]})
     patch.setattr(laboratory, "HELD_OUT", COLUMNS[2:])
     for name in ("REPLICATES", "SCATTER", "COMMON", "LOOKS", "PROBES"):
-        patch.setattr(worlds, name, 4)
+        patch.setattr(injection, name, 4)
     patch.setattr(model, "SCATTER", 24)
     patch.setattr(model, "OTHERS", 12)
     patch.setattr(gate, "DRAWS", 200)

@@ -76,6 +76,23 @@ def test_what_calibration_can_follow_does_not_count(small):
     assert metric.norm(beside, beside=[beside]) == pytest.approx(0.0, abs=1e-6)
 
 
+def test_calibration_follows_a_shift_that_is_its_own(small):
+    rows, logs, jacobian = small
+    metric = Metric(logs, rows, (0.08, 0.055), jacobian)
+    followed = {name: np.tile(0.3 * values, (3, 1)) for name, values in jacobian[0].items()}
+    np.testing.assert_allclose(metric.step(followed), [0.3, 0.0], atol=1e-9)
+
+
+def test_shifts_are_alike_up_to_what_calibration_follows(small):
+    rows, logs, jacobian = small
+    metric = Metric(logs, rows, (0.08, 0.055), jacobian)
+    shift = {"a": np.tile([0.2, 0.1, 0.0], (3, 1)), "b": np.tile([0.0, 0.1], (3, 1))}
+    more = {name: -2.0 * values - jacobian[0][name] for name, values in shift.items()}
+    assert metric.cosine(shift, shift) == pytest.approx(1.0)
+    assert metric.cosine(shift, more) == pytest.approx(-1.0)
+    assert metric.norm({}) == 0.0
+
+
 def test_scatter_alone_has_no_length(small):
     rows, logs, jacobian = small
     metric = Metric(logs, rows, (0.08, 0.055), jacobian)

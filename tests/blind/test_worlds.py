@@ -6,7 +6,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from pipeline.blind import laboratory, worlds
+from pipeline.blind import injection, laboratory, worlds
+from pipeline.blind.attacks import Plan
 from pipeline.blind.truth import Row
 from pipeline.blind.worlds import draw_world, kind_of, make_worlds, world_name
 from pipeline.config.load import check_measured, load_experiments, load_studies
@@ -25,7 +26,7 @@ def quick():
         "LOOKS": 3,
         "PROBES": 2,
     }.items():
-        patch.setattr(worlds, name, count)
+        patch.setattr(injection, name, count)
     yield
     patch.undo()
 
@@ -70,8 +71,8 @@ def test_the_table_holds_the_measured_values_of_the_truth(made):
             height = row.fill_height or experiments[name].geometry.height
             assert true["fill_height"] in (None, height)
             assert row.value == true["measured"]
-            assert row.std == pytest.approx(worlds.OWN * row.value, rel=1e-3)
-            assert row.std_shared == pytest.approx(worlds.SHARED * row.value, rel=1e-3)
+            assert row.std == pytest.approx(injection.OWN * row.value, rel=1e-3)
+            assert row.std_shared == pytest.approx(injection.SHARED * row.value, rel=1e-3)
             assert row.count == 1
     assert next(of_truth, None) is None
 
@@ -142,12 +143,13 @@ def test_noise_has_the_law_that_its_kind_says():
     rows = [Row("a", f"C{n}", 1.0, None) for n in range(4000) for _ in range(2)]
     std = {}
     for kind in ("null_plain", "null_heavy_tails", "null_understated_noise"):
-        errors = np.array(list(worlds._noise(kind, rows, np.random.default_rng(2)))).reshape(-1, 2)
-        total = np.hypot(worlds.SHARED, worlds.OWN)
+        drawn = worlds._noise(kind, rows, np.random.default_rng(2), Plan().noise)
+        errors = np.array(list(drawn)).reshape(-1, 2)
+        total = np.hypot(injection.SHARED, injection.OWN)
         std[kind] = errors.std() / total
         between = np.corrcoef(errors.T)[0, 1]
         if kind == "null_plain":
-            assert between == pytest.approx(worlds.SHARED**2 / total**2, abs=0.05)
+            assert between == pytest.approx(injection.SHARED**2 / total**2, abs=0.05)
         tails = np.mean(np.abs(errors) > 4 * total * (worlds.UNDERSTATED if "under" in kind else 1))
         assert (tails > 1e-3) == (kind == "null_heavy_tails")
     assert std["null_plain"] == pytest.approx(1.0, abs=0.03)

@@ -10,6 +10,7 @@ rule blind_worlds:
     params:
         worlds=int(config["blind_worlds"]),
         hard_nulls=int(config["blind_hard_nulls"]),
+        attacks=int(config["blind_attacks"]),
         seed=lambda w: blind_seed(config),
         code=source_digest("blind_worlds") + effects_digest(),
     message:

@@ -10,6 +10,7 @@ run_worlds(
     Path(snakemake.output.runs).parent,
     snakemake.params.worlds,
     snakemake.params.hard_nulls,
+    snakemake.params.attacks,
     snakemake.params.seed,
     snakemake.threads,
     snakemake.params.code,
