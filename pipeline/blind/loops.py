@@ -1,7 +1,8 @@
 """The loop on blind worlds, which it sees without their truths.
 
 Its results stand in the world's folder: `closed_loop.json`, `attribution.json`, `predictions.json`,
-what other methods claim in `peers.json`, and what they were made from in `run.json`.
+what other methods claim in `peers.json`, and what they were made from in `run.json`. Where it was
+left undecided, the same of one more measurement stands in folders of their own, see `remeasured`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import xarray as xr
 
 from pipeline import __version__
 from pipeline.blind.peers import forward_selection, raw_correlation, thresholded_least_squares
+from pipeline.blind.remeasured import CHOICES, is_undecided, measure_again
 from pipeline.blind.seal import sealed
 from pipeline.blind.tasks import each
 from pipeline.blind.worlds import digest_of, make_worlds, scoring_seed
@@ -62,6 +64,10 @@ def run_worlds(
     names = make_worlds(worlds, truths, count, seed, hard_nulls, workers)
     one = partial(_seconds_of, worlds, truths, code)
     seconds = each("blind worlds, the loop", one, names, workers)
+    undecided = [n for n in names if is_undecided(read_json(worlds / n / "closed_loop.json"))]
+    again = partial(_once_more, worlds, truths, code)
+    pairs = [(name, choice) for name in undecided for choice in CHOICES]
+    each("blind worlds, measured once more", again, pairs, workers)
     content = {
         "schema_version": SCHEMA_VERSION,
         "commit": commit,
@@ -76,6 +82,13 @@ def run_worlds(
 
 def _seconds_of(worlds: Path, truths: Path, code: str, name: str) -> float:
     return close_world(worlds / name, truths, code)
+
+
+def _once_more(worlds: Path, truths: Path, code: str, which: tuple[str, str]) -> None:
+    name, choice = which
+    folder = measure_again(worlds / name, truths / f"{name}.json", choice)
+    if folder is not None:
+        close_world(folder, truths, code)
 
 
 def close_world(folder: Path, truths: Path, code: str = "") -> float:

@@ -12,7 +12,7 @@ import csv
 import hashlib
 import io
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import cached_property, partial
 from pathlib import Path
@@ -33,7 +33,6 @@ from pipeline.blind.truth import (
     IndependentGenerator,
     LatticeGenerator,
     Metric,
-    Row,
     read_logs,
     replicates,
     rows_of,
@@ -41,7 +40,7 @@ from pipeline.blind.truth import (
 )
 from pipeline.files.atomic import read_json, write_json, write_text
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 SHARED, OWN = 0.08, 0.055  # of a CV of 10 %: what a load cell's readings share, and each its own
 UNDERSTATED = 1.5  # true over declared noise of the nulls whose noise is understated
 HARD_NULLS = 5000  # index from which worlds are hard nulls, of the two kinds in turn
@@ -50,6 +49,7 @@ SCATTER = 32  # of the others, and of their covariance
 COMMON = 16  # on common random numbers, of the shift that an effect makes
 PROBES = 6  # on common random numbers, of a derivative
 LOOKS = 12  # on common random numbers, of a first look at an amplitude
+PACKINGS = 3  # spawn key of the packings' streams
 SHARED_PACKINGS, TRUE_PACKING = 0, 1  # streams of all that is averaged, and of the one measured
 DELTA_RANGE = (1.0, 20.0)
 PAIR_DELTA_RANGE = (3.0, 20.0)
@@ -185,18 +185,14 @@ def draw_world(
     """
     drawn_kind, drawn_generator = kind_of(seed, index)
     kind, generator = kind or drawn_kind, generator or drawn_generator
-    choice = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, index)))
-    documents = laboratory.documents(int(choice.integers(2**31)))
-    theta = np.array(THETA_STD) * choice.standard_normal(len(THETA))
-    source = LatticeGenerator(documents)
-    if generator == "independent":
-        source = IndependentGenerator(documents, _physics(kind, choice))
-    world = _World(source, documents, theta, (seed, 3, index))
+    source, theta, choice = begin_world(seed, index, kind, generator)
+    documents = source.experiments
+    world = _World(source, documents, theta, (seed, PACKINGS, index))
     added = _effects(world, kind, generator, choice, delta_range)
     effects, rows = world.truth_of(added)
-    for row, error in zip(rows, _noise(kind, world.all_rows, choice), strict=True):
-        row["measured"] = float(f"{row['reading'] * math.exp(error):.6g}")
-    files = _files(world_name(index), documents, rows)
+    measure(kind, rows, choice, {})
+    title = f"Blind benchmark, {world_name(index)}"
+    files = files_of(world_name(index), laboratory.study(title), documents, rows)
     return files, {
         "format_version": FORMAT_VERSION,
         "world": world_name(index),
@@ -216,6 +212,18 @@ def draw_world(
         "files": {path: digest_of(text.encode()) for path, text in files.items()},
         "rows": rows,
     }
+
+
+def begin_world(
+    seed: int, index: int, kind: str, generator: str
+) -> tuple[Generator, np.ndarray, np.random.Generator]:
+    """The generator of a world, its true parameters, and the stream of all that is drawn next."""
+    choice = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, index)))
+    documents = laboratory.documents(int(choice.integers(2**31)))
+    theta = np.array(THETA_STD) * choice.standard_normal(len(THETA))
+    if generator == "independent":
+        return IndependentGenerator(documents, _physics(kind, choice)), theta, choice
+    return LatticeGenerator(documents), theta, choice
 
 
 # ---------------------------------------------------------------------------------------------
@@ -423,26 +431,43 @@ def _scope_key(world: _World, name: str, choice) -> str | None:
 # data and files
 
 
-def _noise(kind: str, rows: Sequence[Row], choice: np.random.Generator) -> Iterator[float]:
-    """Log errors of the instruments, one for each row."""
+def measure(
+    kind: str,
+    rows: Sequence[dict[str, Any]],
+    choice: np.random.Generator,
+    known: Mapping[tuple[str, str], float],
+) -> None:
+    """Give each row what was `measured`, and the `shared_error` that is in its logarithm.
+
+    `known` are shared errors of load cells in experiments, (experiment, load cell), that have been
+    read before.
+    """
 
     def draw() -> float:
         if kind == "null_heavy_tails":
             return choice.standard_t(3) / math.sqrt(3.0)
         return choice.standard_normal() * (UNDERSTATED if kind == "null_understated_noise" else 1.0)
 
-    shared: dict[tuple[str, str], float] = {}
+    shared = dict(known)
     for row in rows:
-        key = row.experiment, row.load_cell
+        key = row["experiment"], row["load_cell"]
         if key not in shared:
-            shared[key] = draw()
-        yield SHARED * shared[key] + OWN * draw()
+            shared[key] = SHARED * draw()
+        row["shared_error"] = shared[key]
+        error = shared[key] + OWN * draw()
+        row["measured"] = float(f"{row['reading'] * math.exp(error):.6g}")
 
 
-def _files(name: str, documents: Mapping[str, Any], rows: Sequence[Mapping]) -> dict[str, str]:
+def files_of(
+    name: str,
+    study: Mapping[str, Any],
+    documents: Mapping[str, Any],
+    rows: Sequence[Mapping[str, Any]],
+) -> dict[str, str]:
+    """Text of the experiments, of their table of measured rows and of the study, by path."""
     files = {f"experiments/{stem}.yaml": _yaml(document) for stem, document in documents.items()}
     files["experiments/measured/data.csv"] = _table(documents, rows)
-    files[f"studies/{name}.yaml"] = _yaml(laboratory.study(f"Blind benchmark, {name}"))
+    files[f"studies/{name}.yaml"] = _yaml(study)
     return files
 
 

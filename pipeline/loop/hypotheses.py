@@ -45,7 +45,8 @@ class Hypothesis:
 def catalogue(study: Study, model: Model, use: Sequence[int]) -> list[Hypothesis]:
     """Hypotheses of the effects that the study tries; `use` are the rows that may speak for them.
 
-    An effect that an experiment declares already is part of the model there, and no candidate.
+    An effect that an experiment declares already is part of the model there, and no candidate; a
+    load cell's is, for its other load cells.
     """
     names = effects() if study.candidates == "all" else study.candidates
     found: list[Hypothesis] = []
@@ -148,7 +149,8 @@ def _groups(study, model, name, scope, use) -> dict[str | None, list[int]]:
     with_rows = {int(model.case_of[i]) for i in use}
     for i, case in enumerate(model.cases):
         experiment = case.experiment
-        if name in experiment.effects or lacking(effect, experiment, effect.neutral):
+        declared = experiment.effects.get(name)
+        if lacking(effect, experiment, effect.neutral):
             continue
         if effect.scope == "load_cell":
             label = study.data.label if study.data else experiment.data_label
@@ -156,7 +158,10 @@ def _groups(study, model, name, scope, use) -> dict[str | None, list[int]]:
                 continue
             cells = dict.fromkeys(model.rows[j].load_cell for j in use if model.case_of[j] == i)
             for cell in filter(None, cells):
-                groups.setdefault(cell, []).append(i)
+                if cell not in (declared or {}):
+                    groups.setdefault(cell, []).append(i)
+            continue
+        if declared is not None:
             continue
         key = {"material": experiment.material.name, "experiment": experiment.name}.get(scope)
         groups.setdefault(key, []).append(i)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
@@ -19,6 +20,7 @@ from pipeline.loop.rounds import Round
 
 AMPLITUDES = (0.5, 1.0, 2.0)  # of an effect's scale, over which the expected gain is averaged
 WEIGHED, CALIBRATED, LEVELED = 0.03, 0.03, 0.01  # relative errors of direct measurements
+SAMPLED = 0.02  # error of a sample's porosity
 CONFUSED = 6  # hypotheses that are compared, at most
 SHOWN = 8
 
@@ -30,10 +32,16 @@ class Addition:
     what: str
     where: str
     rows: np.ndarray
+    asked: dict[str, Any]
 
 
 def next_measurements(model: Model, data: Data, last: Round, threshold: float) -> list[dict]:
-    """`what`, `where` and `expected_gain` of additions, best first.
+    """All additions that can be asked for, best first.
+
+    Each has `what`, `where` and `expected_gain` to read, and the same for a script: its `kind`,
+    and for `repeat` the experiment; for `load_cell` also `x` and `y`, for `fill_level` also
+    `fill_height`, in m; for `direct`, of an amplitude by itself, the `effect`, its `key` (None:
+    the whole study) and the `std` that it is measured to.
 
     With several names left in the 90 % set the gain is in the chance to tell any two of them
     apart; else in the chance to find an effect, averaged over the catalogue. Amplitudes are
@@ -51,9 +59,14 @@ def next_measurements(model: Model, data: Data, last: Round, threshold: float) -
     for one in additions:
         whole = np.vstack([base, one.rows])
         gain = _power(whole, compared, terms, model, last, threshold, open_set) - before
-        ranked.append({"what": one.what, "where": one.where, "expected_gain": float(gain)})
-    ranked = [r for r in ranked if r["expected_gain"] > 1e-3]
-    return sorted(ranked, key=lambda r: -r["expected_gain"])[:SHOWN]
+        words = {"what": one.what, "where": one.where, "expected_gain": float(gain)}
+        ranked.append(words | one.asked)
+    return sorted(ranked, key=lambda r: -r["expected_gain"])
+
+
+def recommended(ranked: Sequence[dict]) -> list[dict]:
+    """The best of them that gain anything."""
+    return [one for one in ranked if one["expected_gain"] > 1e-3][:SHOWN]
 
 
 def _open(last: Round) -> list[Hypothesis]:
@@ -122,52 +135,60 @@ def _direct(model: Model, last: Round, terms: Sequence[Term]) -> Iterator[Additi
     """Inputs and sensors measured by themselves: each bears on its own amplitude alone."""
     count = last.fit.slopes.shape[1]
 
-    def row(term: Term, sd: float) -> np.ndarray:
-        one = np.zeros((1, count + len(terms)))
-        one[0, count + terms.index(term)] = 1.0 / sd
-        return one
+    def addition(term: Term, what: str, where: str, std: float) -> Addition:
+        row = np.zeros((1, count + len(terms)))
+        row[0, count + terms.index(term)] = 1.0 / std
+        asked = {"kind": "direct", "effect": term.effect, "key": term.key, "std": std}
+        return Addition(what, where, row, asked)
 
     stress = float(np.exp(np.nanmedian(last.fit.expected[model.is_log])))
     for term in terms:
         match term.effect:
             case "density_misdeclared":
-                yield Addition("weigh the bed (3 %)", f"material {term.key}", row(term, WEIGHED))
+                yield addition(term, "weigh the bed (3 %)", f"material {term.key}", WEIGHED)
             case "fill_height_misdeclared":
-                yield Addition("level the surface (1 %)", f"{term.key}", row(term, LEVELED))
+                where = term.key or "every experiment"
+                yield addition(term, "level the surface (1 %)", where, LEVELED)
             case "sensor_gain":
                 what = "calibrate the load cell in place (3 %)"
-                yield Addition(what, f"load cell {term.key}", row(term, CALIBRATED))
+                yield addition(term, what, f"load cell {term.key}", CALIBRATED)
             case "sensor_offset":
                 what = "read the load cell unloaded (3 % of the median stress)"
-                yield Addition(what, f"load cell {term.key}", row(term, CALIBRATED * stress))
+                yield addition(term, what, f"load cell {term.key}", CALIBRATED * stress)
             case "loosening_density":
                 what = "weigh a sample of the movement zone (porosity to 0.02)"
-                yield Addition(what, "movement zone", row(term, 0.02))
+                yield addition(term, what, "movement zone", SAMPLED)
 
 
 def _repeats(model, data: Data, last: Round, terms, base) -> Iterator[Addition]:
-    """Another packing of an experiment, read as before."""
+    """Another packing of an experiment, read as before; what was wrong with one filling is not."""
     noise = last.noise
+    of_one_filling = len(last.fit.point.coordinates) + np.flatnonzero(
+        [t.scope == "experiment" for t in (*last.fit.point.terms, *terms)]
+    )
     slopes = np.column_stack([last.seen.slopes[:, last.seen.terms.index(t)] for t in terms])
     whole = np.hstack([last.fit.slopes, slopes])[data.use]
     for case in model.active:
         places = np.flatnonzero(model.case_of[data.use] == case)
         block = noise.covariance[np.ix_(places, places)]
         rows = np.linalg.solve(np.linalg.cholesky(block), whole[places])
-        yield Addition("repeat the experiment", model.cases[case].experiment.name, rows)
+        rows[:, of_one_filling] = 0.0
+        name = model.cases[case].experiment.name
+        yield Addition("repeat the experiment", name, rows, {"kind": "repeat", "experiment": name})
 
 
 def _simulated(model: Model, data: Data, last: Round, terms) -> Iterator[Addition]:
     """Load cells between those there are, and fill levels between those that were read."""
     instrument = float(np.median(data.independent + np.diag(data.shared)))
     for case in model.active:
-        for what, where, extended in _extensions(model.cases[case]):
+        for what, where, asked, extended in _extensions(model.cases[case]):
             slopes, scatter = _of_one_case(model, case, extended, last.fit.point, terms)
             rows = slopes / np.sqrt(scatter + instrument)[:, None]
-            yield Addition(what, f"{model.cases[case].experiment.name}: {where}", rows)
+            name = model.cases[case].experiment.name
+            yield Addition(what, f"{name}: {where}", rows, asked | {"experiment": name})
 
 
-def _extensions(case: Case) -> Iterator[tuple[str, str, Case]]:
+def _extensions(case: Case) -> Iterator[tuple[str, str, dict[str, Any], Case]]:
     """The case read at one more place, or at one more fill level."""
     experiment = case.experiment
     blank = MeasuredRow(None, None, None, "vertical_stress", np.nan, np.nan, np.nan, 1, 0)
@@ -181,14 +202,16 @@ def _extensions(case: Case) -> Iterator[tuple[str, str, Case]]:
         times = {(row.mass_drawn, row.fill_height) for row in case.rows}
         rows = [replace(blank, load_cell="new", mass_drawn=m, fill_height=h) for m, h in times]
         where = f"x = {new.x:.3g} m, y = {new.y:.3g} m"
-        yield "add a load cell", where, Case(grown, tuple(rows), case.declared)
+        asked = {"kind": "load_cell", "x": new.x, "y": new.y}
+        yield "add a load cell", where, asked, Case(grown, tuple(rows), case.declared)
     if not experiment.is_draw:
         levels = sorted({row.fill_height or experiment.geometry.height for row in case.rows})
-        low = levels[0] / 2 if len(levels) < 2 else (levels[0] + levels[1]) / 2
+        low = round(levels[0] / 2 if len(levels) < 2 else (levels[0] + levels[1]) / 2, 4)
         names = sorted({row.load_cell for row in case.rows}, key=str)
         rows = [replace(blank, load_cell=name, fill_height=low) for name in names]
-        what, where = "read at one more fill level", f"{low:.3g} m"
-        yield what, where, Case(experiment, tuple(rows), case.declared)
+        what, where = "read at one more fill level", f"{low:.4g} m"
+        asked = {"kind": "fill_level", "fill_height": low}
+        yield what, where, asked, Case(experiment, tuple(rows), case.declared)
 
 
 def _of_one_case(model: Model, case: int, extended: Case, point: Point, terms):
