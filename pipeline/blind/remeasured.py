@@ -1,15 +1,15 @@
 """Worlds that the loop left undecided, measured once more: as it recommends, and at random.
 
 In an undecided world's folder, `then_recommended/` and `then_random/` hold the same experiments
-and study with one more measurement, and what the loop then finds; `measurement.json` says which
-measurement, and `shows` the fault where a direct measurement found one by itself.
+and study with one more measurement, and what the loop then finds; `measurement.json` says which.
 
 The addition is made on the same world: what has been read stays as it is, bit for bit, in the same
 packing and with the same shared error of each load cell; new readings and new load cells have
 errors of their own. A repeat is another packing, without what was wrong with the filling of the
-first. A direct measurement of an input or a sensor is taken as a user would take it: beyond three
-standard deviations from what was declared it is the answer; else its value is declared in the
-`effects:` block, so that the loop runs on cleaned data and no longer tries that effect there.
+first. A direct measurement of an input or a sensor is taken as a user would take it. Three standard
+deviations from what was declared, it `shows` the fault by itself. Else its value is declared in the
+`effects:` block, so that the loop runs on cleaned data and no longer tries that effect there; if it
+is two off and then nothing is missing any more, it was this that it `corrects`.
 
 The truth is opened here, and nothing here runs while the loop does.
 """
@@ -35,7 +35,8 @@ from pipeline.files.atomic import read_json, write_json, write_text
 CHOICES = ("recommended", "random")
 CHOOSING, ERRORS = 4, 5  # spawn keys of the random choice, and of all new errors
 FIRST, SECOND = 0, 1  # packings of an experiment
-SHOWN = 3.0  # standard deviations by which a direct measurement shows a fault
+# standard deviations off what was declared: shown by itself, or if nothing is missing after it
+SHOWN, CORRECTED = 3.0, 2.0
 
 
 def is_undecided(result: Mapping[str, Any]) -> bool:
@@ -55,15 +56,16 @@ def measure_again(world: Path, sealed: Path, choice: str) -> Path | None:
     if asked is None:
         shutil.rmtree(folder, ignore_errors=True)
         return None
-    files, shows = extended(read_json(sealed), asked, folder.name)
-    write_json(folder / "measurement.json", {"measurement": asked, "shows": shows})
+    files, says = extended(read_json(sealed), asked, folder.name)
+    write_json(folder / "measurement.json", {"measurement": asked} | says)
     for path, text in files.items():
         write_text(folder / path, text)
-    return None if shows else folder
+    return folder if files else None
 
 
 def outcomes(world: Path) -> dict[str, dict[str, Any]] | None:
-    """By choice: the `measurement`, the effect that it `shows`, or the loop's `result` after it.
+    """By choice: the `measurement`, the [effect, key] that it `shows` or `corrects`, if any, and
+    the loop's `result` after it, but for one that is shown.
 
     None for a world that is not undecided; a choice is missing where there was none.
     """
@@ -81,27 +83,28 @@ def outcomes(world: Path) -> dict[str, dict[str, Any]] | None:
 
 def extended(
     truth: Mapping[str, Any], asked: Mapping[str, Any], name: str
-) -> tuple[dict[str, str], list | None]:
-    """Files, by path, of a world with one more measurement; or the [effect, key] that it shows.
+) -> tuple[dict[str, str], dict[str, list | None]]:
+    """Files, by path, of a world with one more measurement, and what it `shows` or `corrects`.
 
-    `asked` is one of the additions of `possible_measurements`, `name` that of the study.
+    Both of these are an [effect, key] or None; there are no files where a fault is shown. `asked`
+    is one of the additions of `possible_measurements`, `name` that of the study.
     """
     source, theta, _ = begin_world(truth["seed"], truth["index"], truth["kind"], truth["generator"])
     documents = deepcopy(dict(source.experiments))
     random = np.random.default_rng(_stream(truth, ERRORS))
+    says: dict[str, list | None] = {"shows": None, "corrects": None}
+    new = []
     if asked["kind"] == "direct":
-        shows = _declare(documents, truth, asked, random)
-        new = []
+        says |= _declare(documents, truth, asked, random)
+        if says["shows"]:
+            return {}, says
     else:
-        shows = None
         new = _read(documents, truth, theta, asked)
         known = {(r["experiment"], r["load_cell"]): r["shared_error"] for r in truth["rows"]}
         measure(truth["kind"], new, random, known)
-    if shows:
-        return {}, shows
     study = laboratory.study(f"Blind benchmark, {truth['world']}: {asked['what']}")
     study["experiments"] = list(documents)
-    return files_of(name, study, documents, [*truth["rows"], *new]), None
+    return files_of(name, study, documents, [*truth["rows"], *new]), says
 
 
 def _stream(truth: Mapping[str, Any], purpose: int) -> np.random.SeedSequence:
@@ -148,8 +151,8 @@ def _place(row: Mapping[str, Any]) -> tuple:
     return tuple(row[key] for key in ("experiment", "load_cell", "fill_height", "mass_drawn"))
 
 
-def _declare(documents: dict[str, Any], truth, asked, random) -> list | None:
-    """Declare what was measured directly, or the [effect, key] of a fault that it shows."""
+def _declare(documents: dict[str, Any], truth, asked, random) -> dict[str, list]:
+    """Declare what was measured directly; the [effect, key] that it shows or would correct."""
     name, effect = asked["effect"], effects()[asked["effect"]]
     (parameter,) = effect.parameters
     true = {e["scope_key"]: e["parameters"] for e in truth["effects"] if e["name"] == name}
@@ -158,16 +161,20 @@ def _declare(documents: dict[str, Any], truth, asked, random) -> list | None:
         for key in _keys(effect.scope, document, documents):
             if asked["key"] in (None, key):
                 places.setdefault(key, []).append(document)
+    says = {}
     for key, of_key in places.items():
         value = true.get(key, effect.neutral)[parameter.name]
         value += asked["std"] * random.standard_normal()
-        if abs(value - parameter.neutral) > SHOWN * asked["std"]:
-            return [name, key]
+        off = abs(value - parameter.neutral) / asked["std"]
+        if off > SHOWN:
+            return {"shows": [name, key]}
+        if off > CORRECTED:
+            says["corrects"] = [name, key]
         values = {parameter.name: float(np.clip(value, parameter.low, parameter.high))}
         for document in of_key:
             block = document.setdefault("effects", {}).setdefault(name, {})
             block |= {key: values} if effect.scope == "load_cell" else values
-    return None
+    return says
 
 
 def _keys(scope: str, document: Mapping[str, Any], documents: Mapping[str, Any]) -> list:

@@ -325,11 +325,12 @@ def _outside(worlds: Sequence[Scored]) -> dict[str, Any]:
 def is_resolved(world: Scored, choice: str) -> bool:
     """Whether one more measurement leaves exactly the truth standing.
 
-    What stands is what a direct measurement shows by itself; or else the effects that the loop
-    names after it, each with what it belongs to, and those that it leaves in the 90 % set, each
-    with the most probable of what it may belong to. A set of one name counts where there were
-    several before. That must be the true effects, none less and none more. Where nothing was
-    missing nothing may be claimed, and outside the catalogue the right rule must be named.
+    What stands is what a direct measurement shows by itself, or corrects so that the loop finds
+    nothing missing after it; or else the effects that the loop names after it, each with what it
+    belongs to, and those that it leaves in the 90 % set, each with the most probable of what it
+    may belong to. A set of one name counts where there were several before. That must be the true
+    effects, none less and none more. Where nothing was missing nothing may be claimed, and outside
+    the catalogue the right rule must be named.
     """
     outcome = world.again.get(choice)
     if outcome is None:
@@ -337,6 +338,8 @@ def is_resolved(world: Scored, choice: str) -> bool:
     if outcome["shows"]:
         return world.true == [tuple(outcome["shows"])]
     after = Scored(world.truth, outcome["result"])
+    if outcome["corrects"] and not after.claims:
+        return world.true == [tuple(outcome["corrects"])]
     if world.kind in NULLS:
         return not after.claims
     if world.kind == "outside":

@@ -97,7 +97,7 @@ def attribution(problem: Problem, start: xr.Dataset) -> tuple[dict[str, Any], li
     first, last = outcome.rounds[0], outcome.rounds[-1]
     left_out = untried(study, model, data.use)
     before, after = (standard_deviations(model, data, one) for one in (first, last))
-    additions = next_measurements(model.only(data.use), data, last, last.gate.threshold)
+    additions = next_measurements(model.only(data.use), data, last)
     document = {
         "study": study.name,
         "schema_version": SCHEMA_VERSION,

@@ -19,6 +19,7 @@ REPEAT = {"kind": "repeat", "experiment": "static_2", "what": "repeat"}
 CELL = {"kind": "load_cell", "experiment": "isolated", "x": 0.12, "y": 0.12, "what": "add"}
 LEVEL = {"kind": "fill_level", "experiment": "static_1", "fill_height": 1.125, "what": "read"}
 NEW = {"repeat": 18, "load_cell": 6, "fill_level": 6, "direct": 0}
+NOTHING = {"shows": None, "corrects": None}
 EVERY = [REPEAT, CELL, LEVEL, GAIN, DENSITY]
 
 
@@ -56,8 +57,8 @@ def loaded(files, folder):
 @pytest.mark.parametrize("asked", EVERY, ids=lambda a: a.get("effect", a["kind"]))
 def test_files_load_and_what_was_read_stays(world, asked, tmp_path):
     files, truth = world
-    more, shows = extended(truth, asked, "then_recommended")
-    assert shows is None
+    more, says = extended(truth, asked, "then_recommended")
+    assert says["shows"] is None
     table = "experiments/measured/data.csv"
     old, new = files[table].splitlines(), more[table].splitlines()
     assert new[: len(old)] == old
@@ -137,8 +138,11 @@ def test_what_was_measured_directly_is_no_candidate_any_more(world, tmp_path):
 def test_a_direct_measurement_shows_a_large_fault(world, asked, effect):
     name, key = asked["effect"], asked["key"]
     truth = world[1] | {"effects": [{"name": name, "scope_key": key, "parameters": effect}]}
-    assert extended(truth, asked, "then") == ({}, [name, key])
-    assert extended(truth, asked | {"key": "C3" if key == "C2" else "gravel"}, "then")[1] is None
+    assert extended(truth, asked, "then") == ({}, {"shows": [name, key], "corrects": None})
+    elsewhere = asked | {"key": "C3" if key == "C2" else "gravel"}
+    files, says = extended(truth, elsewhere, "then")
+    assert files
+    assert says["shows"] is None
 
 
 def test_a_world_is_measured_again_only_where_it_is_undecided(world, tmp_path):
@@ -154,9 +158,7 @@ def test_a_world_is_measured_again_only_where_it_is_undecided(world, tmp_path):
     made = measure_again(folder, sealed, "recommended")
     write_json(made / "closed_loop.json", result)
     assert read_json(made / "measurement.json")["measurement"] == REPEAT
-    assert outcomes(folder) == {
-        "recommended": {"measurement": REPEAT, "shows": None, "result": result}
-    }
+    assert outcomes(folder) == {"recommended": {"measurement": REPEAT, **NOTHING, "result": result}}
     write_json(folder / "closed_loop.json", undecided | {"possible_measurements": []})
     assert measure_again(folder, sealed, "recommended") is None
     assert outcomes(folder) == {}
@@ -200,7 +202,7 @@ WALL = ("wall_friction", "sand")
     ],
 )
 def test_resolved_is_the_truth_alone(after, resolved):
-    again = {"recommended": {"measurement": REPEAT, "shows": None, "result": after}}
+    again = {"recommended": {"measurement": REPEAT, **NOTHING, "result": after}}
     world = Scored(truth_of("one", WALL), AMBIGUOUS, again=again)
     assert is_resolved(world, "recommended") is resolved
     assert not is_resolved(world, "random")
@@ -208,13 +210,13 @@ def test_resolved_is_the_truth_alone(after, resolved):
 
 def test_a_set_of_one_that_was_there_before_resolves_nothing():
     alone = result_of("ambiguous", open_names=WALL[:1], left=[WALL])
-    again = {"recommended": {"measurement": REPEAT, "shows": None, "result": alone}}
+    again = {"recommended": {"measurement": REPEAT, **NOTHING, "result": alone}}
     assert not is_resolved(Scored(truth_of("one", WALL), alone, again=again), "recommended")
 
 
 def test_other_kinds_are_resolved_by_what_is_true_of_them():
     def resolved(truth, **outcome):
-        again = {"random": {"measurement": GAIN, "shows": None} | outcome}
+        again = {"random": {"measurement": GAIN, **NOTHING} | outcome}
         return is_resolved(Scored(truth, AMBIGUOUS, again=again), "random")
 
     null, gain = truth_of("null_plain"), ("sensor_gain", "C2")
@@ -223,6 +225,11 @@ def test_other_kinds_are_resolved_by_what_is_true_of_them():
     assert not resolved(null, shows=list(gain))
     assert resolved(truth_of("sensor_or_input", gain), shows=list(gain))
     assert not resolved(truth_of("sensor_or_input", ("sensor_gain", "C3")), shows=list(gain))
+    nothing, corrected = result_of("no_effect_detectable"), truth_of("sensor_or_input", gain)
+    assert resolved(corrected, corrects=list(gain), result=nothing)
+    assert not resolved(corrected, result=nothing)
+    assert not resolved(corrected, corrects=list(gain), result=AMBIGUOUS)
+    assert not resolved(null, corrects=list(gain), result=nothing)
     both = truth_of("two", WALL, ("tilt", None))
     assert resolved(both, result=result_of("effect", ("tilt", None), WALL))
     assert not resolved(both, result=result_of("effect", WALL))
@@ -230,7 +237,7 @@ def test_other_kinds_are_resolved_by_what_is_true_of_them():
 
 def test_the_bar_counts_undecided_worlds_with_one_effect():
     def outcome(after):
-        return {"measurement": {"what": "a", "where": "b"}, "shows": None, "result": after}
+        return {"measurement": {"what": "a", "where": "b"}, **NOTHING, "result": after}
 
     right, wrong = outcome(result_of("effect", WALL)), outcome(AMBIGUOUS)
     one = truth_of("one", WALL)
