@@ -146,7 +146,7 @@ class _Decision:
         }
         self.names = [h.name for h in compared] + [""]
         self.weights = np.array([*(posterior[h.label] for h in compared), found.none])
-        self.weights /= self.weights.sum()
+        self.weights = np.maximum(self.weights / self.weights.sum(), 1e-300)
         self.states = []
         for own in (*(h.terms for h in compared), ()):
             columns = [*range(count), *(count + terms.index(t) for t in own)]
