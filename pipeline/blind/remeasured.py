@@ -19,15 +19,14 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pipeline.blind import laboratory
-from pipeline.blind.independent import Physics
-from pipeline.blind.truth import Added, IndependentGenerator, LatticeGenerator, rows_of
+from pipeline.blind.truth import Added, rows_of
 from pipeline.blind.worlds import PACKINGS, TRUE_PACKING, begin_world, files_of, measure
 from pipeline.effects import effects
 from pipeline.files.atomic import read_json, write_json, write_text
@@ -99,7 +98,7 @@ def extended(
         if says["shows"]:
             return {}, says
     else:
-        new = _read(documents, truth, theta, asked)
+        new = _read(documents, source, theta, truth, asked)
         known = {(r["experiment"], r["load_cell"]): r["shared_error"] for r in truth["rows"]}
         measure(truth["kind"], new, random, known)
     study = laboratory.study(f"Blind benchmark, {truth['world']}: {asked['what']}")
@@ -121,7 +120,7 @@ def _asked(result, truth, choice: str) -> dict[str, Any] | None:
     return possible[np.random.default_rng(_stream(truth, CHOOSING)).integers(len(possible))]
 
 
-def _read(documents: dict[str, Any], truth, theta, asked) -> list[dict[str, Any]]:
+def _read(documents: dict[str, Any], source, theta, truth, asked) -> list[dict[str, Any]]:
     """Add the readings' place to the documents; the new rows as the load cells have them."""
     name, packing = asked["experiment"], FIRST
     document, target = documents[name], name
@@ -136,9 +135,7 @@ def _read(documents: dict[str, Any], truth, theta, asked) -> list[dict[str, Any]
     else:
         levels = [*document["filling"]["levels"], asked["fill_height"]]
         document["filling"]["levels"] = sorted(levels)
-    source = LatticeGenerator({name: document})
-    if truth["generator"] == "independent":
-        source = IndependentGenerator({name: document}, Physics(**truth["physics"]))
+    source = replace(source, experiments={name: document})
     seed = (truth["seed"], PACKINGS, truth["index"], TRUE_PACKING, packing)
     reading = source.as_read(name, source.stress(name, theta, added, seed), added).ravel()
     known = {_place(row) for row in truth["rows"]}

@@ -1,5 +1,8 @@
 """One more measurement of a world: files that load, readings that stay, and who is resolved."""
 
+from copy import deepcopy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -35,15 +38,13 @@ def quick():
 
 @pytest.fixture(scope="module", params=["lattice", "independent", "continuum"])
 def world(request):
-    """(files, truth) of a world with one effect."""
+    """(files, truth) of a world with nothing missing."""
+    generator = "lattice" if request.param == "lattice" else "independent"
+    patch, physics = pytest.MonkeyPatch(), worlds._physics
     if request.param == "continuum":
-        patch = pytest.MonkeyPatch()
-        physics = worlds._physics
-        patch.setattr(worlds, "_physics", lambda *a: physics(*a).__class__(continuum=True))
-        made = draw_world(7, 1, kind="null_plain", generator="independent")
-        patch.undo()
-        return made
-    return draw_world(7, 1, kind="null_plain", generator=request.param)
+        patch.setattr(worlds, "_physics", lambda *a: replace(physics(*a), continuum=True))
+    yield draw_world(7, 1, kind="null_plain", generator=generator)
+    patch.undo()
 
 
 def loaded(files, folder):
@@ -76,9 +77,8 @@ def test_files_load_and_what_was_read_stays(world, asked, tmp_path):
 def test_readings_are_of_the_packing_that_was_measured(world, asked, monkeypatch):
     _, truth = world
     monkeypatch.setattr(remeasured, "_place", lambda row: tuple(row.values()))
-    _, theta, _ = worlds.begin_world(7, 1, truth["kind"], truth["generator"])
-    documents = worlds.begin_world(7, 1, truth["kind"], truth["generator"])[0].experiments
-    every = remeasured._read(documents, truth, theta, asked)
+    source, theta, _ = worlds.begin_world(7, 1, truth["kind"], truth["generator"])
+    every = remeasured._read(deepcopy(source.experiments), source, theta, truth, asked)
     key = ("load_cell", "fill_height", "mass_drawn")
     known = {
         tuple(row[k] for k in key): row["reading"]
