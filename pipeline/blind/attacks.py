@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.blind import laboratory
 from pipeline.blind.injection import AMPLITUDES, PHYSICS, World, effect_near, nearest, path_of
-from pipeline.blind.truth import Added, Row
+from pipeline.blind.truth import Added
 
 ATTACKED = 8000  # index from which worlds are attacks, of all kinds in turn
 NOTHING, UNEXPLAINED = "no_effect_detectable", "unexplained"
@@ -71,7 +71,7 @@ class Plan:
     documents: Callable[[dict], dict] = lambda declared: declared
     effects: Callable[[World, np.random.Generator], tuple[Added, ...]] = lambda world, choice: ()
     misread: Callable[[Rows], None] = lambda rows: None
-    noise: Callable[[Row], tuple[float, float]] = lambda row: (1.0, 1.0)
+    noise: Callable[[Mapping[str, Any]], tuple[float, float]] = lambda row: (1.0, 1.0)
     misfile: Callable[[Rows], None] = lambda rows: None
 
 
@@ -116,7 +116,7 @@ def _noise_of_one_cell(documents, choice) -> Plan:
     return Plan(
         right=lambda added, joint: Right(may_name=(("sensor_*", broken),)),
         details={"true_over_declared": times, "load_cell": broken},
-        noise=lambda row: (times, times) if row.load_cell == broken else (1.0, 1.0),
+        noise=lambda row: (times, times) if row["load_cell"] == broken else (1.0, 1.0),
     )
 
 

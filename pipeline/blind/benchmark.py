@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.blind.loops import run_worlds
+from pipeline.blind.remeasured import outcomes
 from pipeline.blind.scores import append_log, open_world, score
 from pipeline.files.atomic import read_json, write_json
 
@@ -49,6 +50,7 @@ def score_benchmark(folder: Path | str) -> dict[str, Any]:
             folder / "worlds" / name / "predictions.json",
             peers=read_json(folder / "worlds" / name / "peers.json"),
             seconds=seconds,
+            again=outcomes(folder / "worlds" / name),
         )
         for name, seconds in runs["seconds"].items()
     ]

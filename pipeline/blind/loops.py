@@ -1,7 +1,8 @@
 """The loop on blind worlds, which it sees without their truths.
 
 Its results stand in the world's folder: `closed_loop.json`, `attribution.json`, `predictions.json`,
-what other methods claim in `peers.json`, and what they were made from in `run.json`.
+what other methods claim in `peers.json`, and what they were made from in `run.json`. Where it was
+left undecided, the same of one more measurement stands in folders of their own, see `remeasured`.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ import xarray as xr
 
 from pipeline import __version__
 from pipeline.blind.peers import forward_selection, raw_correlation, thresholded_least_squares
+from pipeline.blind.remeasured import CHOICES, is_undecided, measure_again
 from pipeline.blind.seal import sealed
 from pipeline.blind.tasks import each
-from pipeline.blind.worlds import digest_of, make_worlds, scoring_seed
+from pipeline.blind.worlds import digest_of, index_of, kind_of, make_worlds, scoring_seed
 from pipeline.config.load import load_experiments, load_study
 from pipeline.files.atomic import read_json, write_json
 from pipeline.files.netcdf import git_revision
@@ -64,6 +66,10 @@ def run_worlds(
     names = make_worlds(worlds, truths, count, seed, hard_nulls, attacks, workers)
     one = partial(_seconds_of, worlds, truths, code)
     seconds = each("blind worlds, the loop", one, names, workers)
+    undecided = [n for n in names if _is_undecided(worlds / n, seed)]
+    again = partial(_once_more, worlds, truths, code)
+    pairs = [(name, choice) for name in undecided for choice in CHOICES]
+    each("blind worlds, measured once more", again, pairs, workers)
     content = {
         "schema_version": SCHEMA_VERSION,
         "commit": commit,
@@ -79,6 +85,20 @@ def run_worlds(
 
 def _seconds_of(worlds: Path, truths: Path, code: str, name: str) -> float:
     return close_world(worlds / name, truths, code)
+
+
+def _is_undecided(world: Path, seed: int) -> bool:
+    """Whether a world with one effect is left undecided."""
+    kind, _ = kind_of(seed, index_of(world.name))
+    one_effect = kind in ("one", "sensor_or_input")
+    return one_effect and is_undecided(read_json(world / "closed_loop.json"))
+
+
+def _once_more(worlds: Path, truths: Path, code: str, which: tuple[str, str]) -> None:
+    name, choice = which
+    folder = measure_again(worlds / name, truths / f"{name}.json", choice)
+    if folder is not None:
+        close_world(folder, truths, code)
 
 
 def close_world(folder: Path, truths: Path, code: str = "") -> float:

@@ -28,6 +28,7 @@ NO_CLAIM = "no_effect_detectable"
 LOCAL_RULE = "local_rule"
 PREDICTIONS = ("after", "recalibrated_only", "gaussian_process")
 WORSE = 1.05
+CHOICES = ("recommended", "random")  # of one more measurement
 
 Claim = tuple[str, str | None]  # name of an effect, and what it belongs to
 
@@ -43,7 +44,8 @@ class Scored:
     `predictions` are rows of the held-out predictions, each with experiment, load_cell,
     fill_height, mass_drawn, quantity, and before, after, recalibrated_only, gaussian_process in
     kPa. `peers` holds the claims of other methods by their names, in order; `seconds` the
-    processor time that the loop took.
+    processor time that the loop took; `again` what one more measurement brought where it left
+    names open (None: it did not), see `remeasured.outcomes`.
     """
 
     truth: Mapping[str, Any]
@@ -51,6 +53,7 @@ class Scored:
     predictions: Sequence[Mapping[str, Any]] = ()
     peers: Mapping[str, Sequence[Claim]] = field(default_factory=dict)
     seconds: float | None = None
+    again: Mapping[str, Mapping[str, Any]] | None = None
 
     @property
     def kind(self) -> str:
@@ -132,7 +135,7 @@ def open_world(
     predictions: Path | None = None,
     **measured: Any,
 ) -> Scored:
-    """A world's results with its truth; `measured` are `peers` and `seconds` of `Scored`.
+    """A world's results with its truth; `measured` are `peers`, `seconds`, `again` of `Scored`.
 
     Raises SealBrokenError if the truth's SHA-256 is not the published `digest`.
     """
@@ -178,6 +181,7 @@ def score(worlds: Sequence[Scored]) -> dict[str, Any]:
         "two": _two([w for w in worlds if w.kind == "two"], lambda w: w.named),
         "peers": _peers(worlds),
         "attacks": _attacks(attacks),
+        "remeasured": _remeasured(worlds),
         "seconds": _seconds(worlds),
         "each": [_each(world, error) for world, error in zip(worlds, errors, strict=True)],
     }
@@ -350,6 +354,65 @@ def _outside(worlds: Sequence[Scored]) -> dict[str, Any]:
         "at_least_5": of([w for w in worlds if w.delta >= 5]),
         "by_delta": by_delta,
     }
+
+
+# ---------------------------------------------------------------------------------------------
+# one more measurement
+
+
+def is_resolved(world: Scored, choice: str) -> bool:
+    """Whether one more measurement leaves exactly the truth standing.
+
+    What stands is what a direct measurement shows by itself, or corrects so that the loop finds
+    nothing missing after it; or else the effects that the loop names after it, each with what it
+    belongs to, and those that it leaves in the 90 % set, each with the most probable of what it
+    may belong to. A set of one name counts where there were several before. That must be the true
+    effects, none less and none more. Where nothing was missing nothing may be claimed, and outside
+    the catalogue the right rule must be named.
+    """
+    outcome = world.again.get(choice)
+    if outcome is None:
+        return False
+    if outcome["shows"]:
+        return world.true == [tuple(outcome["shows"])]
+    after = Scored(world.truth, outcome["result"])
+    if outcome["corrects"] and not after.claims:
+        return world.true == [tuple(outcome["corrects"])]
+    if world.kind in NULLS:
+        return not after.claims
+    if world.kind == "outside":
+        return _rule_is_right(after)
+    now, before = (len(result["candidate_set"]) for result in (after.result, world.result))
+    if now and not 1 == now < before:
+        return False
+    likely = {one["name"]: one["scope_key"] for one in after.result["candidates_left"][::-1]}
+    left = {(name, likely.get(name)) for name in after.result["candidate_set"]}
+    return {*after.named, *left} == set(world.true)
+
+
+def _remeasured(worlds: Sequence[Scored]) -> dict[str, Any]:
+    """Of the worlds left undecided: how many the recommended, and a random, measurement resolves.
+
+    Worlds with one effect; no other is measured again.
+    """
+    undecided = [w for w in worlds if w.again is not None and w.kind in SINGLE]
+    table: dict[str, Any] = {
+        choice: _share(undecided, lambda w, c=choice: is_resolved(w, c)) for choice in CHOICES
+    }
+    table["each"] = [
+        {"world": w.truth["world"]}
+        | {
+            choice: {
+                "what": w.again[choice]["measurement"]["what"],
+                "where": w.again[choice]["measurement"]["where"],
+                "resolved": is_resolved(w, choice),
+            }
+            for choice in CHOICES
+            if choice in w.again
+        }
+        for w in undecided
+    ]
+    return table
 
 
 def _seconds(worlds: Iterable[Scored]) -> dict[str, float] | None:
@@ -572,6 +635,16 @@ def _bars(tables: Mapping[str, Any], single, soft) -> list[dict[str, Any]]:
             0.85,
         ),
         _at_least("two effects, both with delta of at least 5: exact set", two, 0.70, 0.85),
+        _at_least(
+            "undecided worlds with one effect resolved by the recommended measurement",
+            tables["remeasured"]["recommended"],
+            0.50,
+            0.60,
+        ),
+        _compared(
+            "the same by a measurement chosen at random",
+            tables["remeasured"]["random"],
+        ),
         _at_most("one data set, one core, median processor seconds", seconds, 10.0, 3.0),
     ]
 
@@ -587,6 +660,11 @@ def _bar(quantity, figure, bar, stretch, met, of=None, broken=None):
         "met_stretch": None if figure is None else met(stretch),
         "broken": None if figure is None or of is None else broken(),
     }
+
+
+def _compared(quantity, of):
+    """A figure beside another, without a bar of its own."""
+    return _bar(quantity, of["rate"], None, None, lambda _: None, of, lambda: None)
 
 
 def _alarm(quantity, of, bar, stretch):

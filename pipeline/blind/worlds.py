@@ -12,11 +12,11 @@ import csv
 import hashlib
 import io
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -39,16 +39,18 @@ from pipeline.blind.truth import (
     THETA,
     THETA_STD,
     Added,
+    Generator,
     IndependentGenerator,
     LatticeGenerator,
-    Row,
     true_parameters,
 )
 from pipeline.files.atomic import read_json, write_json, write_text
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 UNDERSTATED = 1.5  # true over declared noise of the nulls whose noise is understated
 HARD_NULLS = 5000  # index from which worlds are hard nulls, of the two kinds in turn
+ATTACK = "attack_"  # begins the kinds of worlds written to fool the loop
+PACKINGS = 3  # spawn key of the packings' streams
 DELTA_RANGE = (1.0, 20.0)
 PAIR_DELTA_RANGE = (3.0, 20.0)
 
@@ -122,6 +124,11 @@ def world_name(index: int) -> str:
     return f"world_{index:04d}"
 
 
+def index_of(name: str) -> int:
+    """Index of the world of this name."""
+    return int(name.removeprefix("world_"))
+
+
 def digest_of(content: bytes) -> str:
     """SHA-256 (hex)."""
     return hashlib.sha256(content).hexdigest()
@@ -130,7 +137,7 @@ def digest_of(content: bytes) -> str:
 def kind_of(seed: int, index: int) -> tuple[str, str]:
     """What kind of truth a world has, and which generator makes its data."""
     if index >= ATTACKED:
-        return f"attack_{attack_of(index)}", "lattice"
+        return f"{ATTACK}{attack_of(index)}", "lattice"
     if index >= HARD_NULLS:
         pair, place = divmod(index - HARD_NULLS, 2)
         kind = ("null_heavy_tails", "null_understated_noise")[place]
@@ -153,26 +160,20 @@ def draw_world(
     """
     drawn_kind, drawn_generator = kind_of(seed, index)
     kind, generator = kind or drawn_kind, generator or drawn_generator
-    choice = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, index)))
-    documents = laboratory.documents(int(choice.integers(2**31)))
-    theta = np.array(THETA_STD) * choice.standard_normal(len(THETA))
-    attack = ATTACKS.get(kind.removeprefix("attack_"))
-    plan = attack.plan(documents, choice) if attack else Plan()
-    truly = plan.documents(documents)
-    source = LatticeGenerator(truly)
-    if generator == "independent":
-        source = IndependentGenerator(truly, _physics(kind, choice))
-    world = World(source, truly, theta, (seed, 3, index))
+    begun = begin_world(seed, index, kind, generator)
+    plan, choice = begun.plan, begun.choice
+    world = World(begun.source, begun.source.experiments, begun.theta, (seed, PACKINGS, index))
+    attack = kind.startswith(ATTACK)
     if attack:
         added = plan.effects(world, choice)
     else:
         added = _effects(world, kind, generator, choice, delta_range)
     effects, rows = world.truth_of(added)
     plan.misread(rows)
-    for row, error in zip(rows, _noise(kind, world.all_rows, choice, plan.noise), strict=True):
-        row["measured"] = float(f"{row['reading'] * math.exp(error):.6g}")
+    measure(kind, rows, choice, {}, plan.noise)
     plan.misfile(rows)
-    files = _files(world_name(index), documents, rows)
+    title = f"Blind benchmark, {world_name(index)}"
+    files = files_of(world_name(index), laboratory.study(title), begun.declared, rows)
     truth = {
         "format_version": FORMAT_VERSION,
         "world": world_name(index),
@@ -180,9 +181,9 @@ def draw_world(
         "index": index,
         "kind": kind,
         "generator": generator,
-        "physics": asdict(source.physics) if generator == "independent" else None,
+        "physics": asdict(begun.source.physics) if generator == "independent" else None,
         "effects": effects,
-        "parameters": true_parameters(theta),
+        "parameters": true_parameters(begun.theta),
         "noise": {
             "shared": SHARED,
             "own": OWN,
@@ -206,6 +207,30 @@ def _attack(world: World, plan: Plan, added: Sequence[Added]) -> dict[str, Any]:
         "held_out_rms_log": world.moved_held_out(added),
         "right": asdict(plan.right(added, joint)),
     }
+
+
+class Begun(NamedTuple):
+    """A world before its effects: experiments as declared, what an attack does (else nothing), the
+    generator, the true parameters, and the stream of all that is drawn next."""
+
+    declared: Mapping[str, Any]
+    plan: Plan
+    source: Generator
+    theta: np.ndarray
+    choice: np.random.Generator
+
+
+def begin_world(seed: int, index: int, kind: str, generator: str) -> Begun:
+    """What a world of a seed starts from."""
+    choice = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, index)))
+    declared = laboratory.documents(int(choice.integers(2**31)))
+    theta = np.array(THETA_STD) * choice.standard_normal(len(THETA))
+    attack = ATTACKS.get(kind.removeprefix(ATTACK))
+    plan = attack.plan(declared, choice) if attack else Plan()
+    source = LatticeGenerator(plan.documents(declared))
+    if generator == "independent":
+        source = IndependentGenerator(source.experiments, _physics(kind, choice))
+    return Begun(declared, plan, source, theta, choice)
 
 
 def _physics(kind: str, choice: np.random.Generator) -> independent.Physics:
@@ -240,32 +265,45 @@ def _effects(world: World, kind: str, generator: str, choice, delta_range) -> tu
 # data and files
 
 
-def _noise(
+def measure(
     kind: str,
-    rows: Sequence[Row],
+    rows: Sequence[dict[str, Any]],
     choice: np.random.Generator,
-    times: Callable[[Row], tuple[float, float]],
-) -> Iterator[float]:
-    """Log errors of the instruments, one for each row, its parts so many `times` as declared."""
+    known: Mapping[tuple[str, str], float],
+    times: Callable[[Mapping[str, Any]], tuple[float, float]] = Plan.noise,
+) -> None:
+    """Give each row what was `measured`, and the `shared_error` that is in its logarithm.
+
+    `known` are shared errors of load cells in experiments, (experiment, load cell), that have been
+    read before. The two parts of the noise are so many `times` as declared.
+    """
 
     def draw() -> float:
         if kind == "null_heavy_tails":
             return choice.standard_t(3) / math.sqrt(3.0)
         return choice.standard_normal() * (UNDERSTATED if kind == "null_understated_noise" else 1.0)
 
-    shared: dict[tuple[str, str], float] = {}
+    shared = dict(known)
     for row in rows:
-        key = row.experiment, row.load_cell
-        if key not in shared:
-            shared[key] = draw()
+        key = row["experiment"], row["load_cell"]
         of_shared, of_own = times(row)
-        yield of_shared * SHARED * shared[key] + of_own * OWN * draw()
+        if key not in shared:
+            shared[key] = SHARED * of_shared * draw()
+        row["shared_error"] = shared[key]
+        error = shared[key] + OWN * of_own * draw()
+        row["measured"] = float(f"{row['reading'] * math.exp(error):.6g}")
 
 
-def _files(name: str, documents: Mapping[str, Any], rows: Sequence[Mapping]) -> dict[str, str]:
+def files_of(
+    name: str,
+    study: Mapping[str, Any],
+    documents: Mapping[str, Any],
+    rows: Sequence[Mapping[str, Any]],
+) -> dict[str, str]:
+    """Text of the experiments, of their table of measured rows and of the study, by path."""
     files = {f"experiments/{stem}.yaml": _yaml(document) for stem, document in documents.items()}
     files["experiments/measured/data.csv"] = _table(documents, rows)
-    files[f"studies/{name}.yaml"] = _yaml(laboratory.study(f"Blind benchmark, {name}"))
+    files[f"studies/{name}.yaml"] = _yaml(study)
     return files
 
 

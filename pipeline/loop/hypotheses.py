@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pipeline.config.effects import NOT_MEASURED
 from pipeline.config.study import Study
@@ -41,11 +41,18 @@ class Hypothesis:
             options += "".join(f" {parameter}" for parameter in parameters)
         return f"{self.name}{options}" + (f" [{self.key}]" if self.key is not None else "")
 
+    def without(self, terms: Sequence[Term]) -> Hypothesis:
+        """The same with fewer terms; of the one key that is left, if it is one."""
+        left = tuple(term for term in self.terms if term not in terms)
+        keys = {term.key for term in left}
+        return replace(self, terms=left, key=keys.pop() if len(keys) == 1 else self.key)
+
 
 def catalogue(study: Study, model: Model, use: Sequence[int]) -> list[Hypothesis]:
     """Hypotheses of the effects that the study tries; `use` are the rows that may speak for them.
 
-    An effect that an experiment declares already is part of the model there, and no candidate.
+    An effect that an experiment declares already is part of the model there, and no candidate; a
+    load cell's is, for its other load cells.
     """
     names = effects() if study.candidates == "all" else study.candidates
     found: list[Hypothesis] = []
@@ -148,7 +155,8 @@ def _groups(study, model, name, scope, use) -> dict[str | None, list[int]]:
     with_rows = {int(model.case_of[i]) for i in use}
     for i, case in enumerate(model.cases):
         experiment = case.experiment
-        if name in experiment.effects or lacking(effect, experiment, effect.neutral):
+        declared = experiment.effects.get(name)
+        if lacking(effect, experiment, effect.neutral):
             continue
         if effect.scope == "load_cell":
             label = study.data.label if study.data else experiment.data_label
@@ -156,7 +164,10 @@ def _groups(study, model, name, scope, use) -> dict[str | None, list[int]]:
                 continue
             cells = dict.fromkeys(model.rows[j].load_cell for j in use if model.case_of[j] == i)
             for cell in filter(None, cells):
-                groups.setdefault(cell, []).append(i)
+                if cell not in (declared or {}):
+                    groups.setdefault(cell, []).append(i)
+            continue
+        if declared is not None:
             continue
         key = {"material": experiment.material.name, "experiment": experiment.name}.get(scope)
         groups.setdefault(key, []).append(i)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from pipeline.loop.model import Model, Point, Term
 from pipeline.montecarlo.streams import LOOP_NULL, random_stream
 
 log = logging.getLogger(__name__)
+IDLE = 1e-3  # of an amplitude's scale: nearer to neutral it is no effect
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,10 @@ def close(
         sure.append(probability)
         factors = one.noise.factors
         found, here = calibrated(model, data, named.refit.point, factors, settled=True)
+        idle = _idle(named.hypothesis, found.point)
+        if idle:
+            added[-1] = replace(named, hypothesis=named.hypothesis.without(idle))
+            found, here = calibrated(model, data, found.point.without(idle), factors, settled=True)
         for number in _spoken_for_no_more(model, data, found, here, added):
             dropped.append(added[number].hypothesis.label)
             terms = added.pop(number).hypothesis.terms
@@ -98,6 +103,17 @@ def close(
             found, here = calibrated(model, data, found.point.without(terms), factors)
     verdict = _verdict(rounds[-1], added)
     return Outcome(tuple(rounds), tuple(added), tuple(sure), tuple(dropped), verdict)
+
+
+def _idle(hypothesis: Hypothesis, point: Point) -> list[Term]:
+    """Terms of an addition that ended where they do nothing; [] if all did."""
+    amplitude = dict(zip(point.terms, point.amplitudes, strict=True))
+    idle = [
+        term
+        for term in hypothesis.terms
+        if abs(amplitude[term] - term.described.neutral) < IDLE * term.described.scale
+    ]
+    return idle if len(idle) < len(hypothesis.terms) else []
 
 
 def _spoken_for_no_more(

@@ -35,7 +35,7 @@ from pipeline.loop.fit import Fit, calibrated, fit
 from pipeline.loop.gaussian_process import correction
 from pipeline.loop.hypotheses import untried
 from pipeline.loop.model import Model, Point, Term
-from pipeline.loop.next_measurement import next_measurements
+from pipeline.loop.next_measurement import next_measurements, recommended
 from pipeline.loop.problem import Fold, Problem, predictable, subset
 from pipeline.loop.rounds import Outcome, close
 from pipeline.loop.scores import VARIANTS, errors, predicted, ratio_interval
@@ -95,7 +95,7 @@ def attribution(problem: Problem, start: xr.Dataset) -> tuple[dict[str, Any], li
     first, last = outcome.rounds[0], outcome.rounds[-1]
     left_out = untried(study, model, data.use)
     before, after = (standard_deviations(model, data, one) for one in (first, last))
-    additions = next_measurements(model.only(data.use), data, last, last.gate.threshold)
+    additions = next_measurements(model.only(data.use), data, last)
     document = {
         "study": study.name,
         "schema_version": SCHEMA_VERSION,
@@ -113,7 +113,8 @@ def attribution(problem: Problem, start: xr.Dataset) -> tuple[dict[str, Any], li
             "after": parameters_document(model, last.fit, after),
         },
         "untestable_parameters": _untestable(model, data, first.fit),
-        "next_measurement": additions,
+        "next_measurement": recommended(additions),
+        "possible_measurements": additions,
         "noise": _noise(problem, outcome),
         "degrees_of_freedom": {
             "readings": len(data.use),
@@ -228,6 +229,7 @@ def closed(
         },
         "parameters": found["parameters"],
         "next_measurement": found["next_measurement"],
+        "possible_measurements": found["possible_measurements"],
         "noise_floor": found["noise"],
         "held_out_is": _kind(problem),
         "folds": [

@@ -92,6 +92,8 @@ def blind_page(scores: Mapping[str, Any], data: Data, file_names: Iterable[str])
         held_out=held_out_table(scores, data),
         peers=peer_table(scores, data),
         attacks=attack_tables(scores, data),
+        again=again_table(scores, data),
+        remeasured=remeasured_table(scores, data),
         worlds=world_table(scores, data),
         provenance=provenance_table(scores, data),
         files=list(file_names),
@@ -106,7 +108,8 @@ def blind_page(scores: Mapping[str, Any], data: Data, file_names: Iterable[str])
 
 def verdict(scores: Mapping[str, Any], data: Data) -> list[Markup]:
     """How many bars are met, and which are broken for sure."""
-    tested = [bar for bar in scores["bars"] if bar["met"] is not None]
+    bars = [bar for bar in scores["bars"] if bar["bar"] is not None]
+    tested = [bar for bar in bars if bar["met"] is not None]
     sentences = [
         parts(
             "<strong>{} of {} bars are met</strong> that {} worlds have a figure for; {} have none "
@@ -114,7 +117,7 @@ def verdict(scores: Mapping[str, Any], data: Data) -> list[Markup]:
             data.number("verdict", "", "bars met", sum(bar["met"] for bar in tested)),
             data.number("verdict", "", "bars with a figure", len(tested)),
             data.number("verdict", "", "worlds", scores["worlds"]),
-            data.number("verdict", "", "bars without", len(scores["bars"]) - len(tested)),
+            data.number("verdict", "", "bars without", len(bars) - len(tested)),
         )
     ]
     if scores["broken"]:
@@ -155,23 +158,27 @@ def bar_table(scores: Mapping[str, Any], data: Data) -> Table:
     )
     for bar in scores["bars"]:
         quantity, is_rate = bar["quantity"], bar["rate"] is not None
-        sign = "≥" if bar["stretch"] > bar["bar"] else "≤"
         figure = table.number(quantity, "figure", bar["figure"])
-        limits = []
-        for name in ("bar", "stretch"):
-            value = 100.0 * bar[name] if is_rate else bar[name]
-            number = table.number(quantity, name, value, unit="%" if is_rate else "")
-            limits.append(parts("{} {}{}", sign, number, " %" if is_rate else ""))
         table.rows.append(
             [
                 quantity,
                 _rate(table, quantity, "rate", bar["rate"]) if is_rate else figure,
-                *limits,
+                *(_limit(table, bar, name) for name in ("bar", "stretch")),
                 _met(bar["met"], bar["broken"]),
                 _met(bar["met_stretch"]),
             ]
         )
     return table
+
+
+def _limit(table: Table, bar: Mapping[str, Any], name: str) -> Markup | str:
+    """The bar or the stretch; a dash for a figure that stands beside another."""
+    if bar[name] is None:
+        return MISSING
+    sign = "≥" if bar["stretch"] > bar["bar"] else "≤"
+    factor, unit = (1.0, "") if bar["rate"] is None else (100.0, "%")
+    number = table.number(bar["quantity"], name, factor * bar[name], unit=unit)
+    return parts("{} {}{}", sign, number, f" {unit}" if unit else "")
 
 
 def _met(met: bool | None, broken: bool | None = None) -> Badge | str:
@@ -515,6 +522,47 @@ def _details(details: Mapping[str, Any]) -> str:
         return of if isinstance(of, str) else " and ".join(of)
 
     return ", ".join(f"{_words(key)}: {value(of)}" for key, of in details.items())
+
+
+# ---------------------------------------------------------------------------------------------
+# one more measurement
+
+
+def again_table(scores: Mapping[str, Any], data: Data) -> Table:
+    """How often one more measurement leaves exactly the truth standing."""
+    choices = {"recommended": "The recommended one", "random": "One chosen at random"}
+    table = Table(
+        "measured_once_more",
+        "Worlds where the loop left names open, resolved by one more measurement: exactly the true "
+        f"effect is named, or is all that is left of the set. {INTERVAL}",
+        ["Worlds", *choices.values()],
+        data,
+    )
+    words, rates = "one effect, undecided", scores["remeasured"]
+    cells = [_rate(table, words, head, rates[choice]) for choice, head in choices.items()]
+    table.rows.append([words, *cells])
+    return table
+
+
+def remeasured_table(scores: Mapping[str, Any], data: Data) -> Table | None:
+    """What was measured in each of these worlds; None without any."""
+    rows = [
+        [one["world"], choice, one[choice]["what"], one[choice]["where"], one[choice]["resolved"]]
+        for one in scores["remeasured"]["each"]
+        for choice in ("recommended", "random")
+        if choice in one
+    ]
+    table = Table(
+        "measurements",
+        "Each measurement that was made.",
+        ["World", "Choice", "What", "Where", "Resolved"],
+        data,
+    )
+    for name, choice, what, where, resolved in rows:
+        link = Link(name, f"worlds/{name}/then_{choice}/measurement.json")
+        badge = Badge("resolved", "good") if resolved else "no"
+        table.rows.append([link, choice, what, where, badge])
+    return table if rows else None
 
 
 # ---------------------------------------------------------------------------------------------

@@ -815,14 +815,19 @@ def next_table(found: Mapping[str, Any], data: Data) -> Table | None:
     """Additions ranked by what they are worth; None where none helps."""
     if not found["next_measurement"]:
         return None
-    if len(found["candidate_set"]) > 1:
-        gain = "telling apart what is still confused"
+    if len(found["candidate_set"]) > 1 or found["verdict"] == "ambiguous":
+        gain = (
+            "chance that the right one of the names still open is then sure, amplitudes as the "
+            "readings so far leave them"
+        )
     else:
-        gain = "finding an effect of the catalogue"
+        gain = (
+            "rise of the chance of finding an effect of the catalogue, amplitudes averaged over "
+            "what is usual"
+        )
     table = Table(
         "next_measurement",
-        f"What to measure next, best first. Expected gain: rise of the chance of {gain}, "
-        "amplitudes averaged over what is usual.",
+        f"What to measure next, best first. Expected gain: {gain}.",
         ["Rank", "What", "Where", "Expected gain"],
         data,
     )

@@ -18,7 +18,7 @@ from pipeline.loop import gate, model
 from pipeline.report.blind import write_blind_report
 from pipeline.workflow.catalog import blind_seed
 
-SEED = 4
+SEED = 9
 COLUMNS = ("static_1", "static_5", "static_7", "static_8")
 NAMES = ["world_0000", "world_0001"]
 
@@ -164,6 +164,33 @@ def test_other_code_other_data_and_another_seed_run_again(copied, counted):
     assert counted == NAMES
     run_worlds(copied, 1, seed=SEED + 1, code="other")
     assert counted == [*NAMES, NAMES[0]]
+
+
+def test_undecided_worlds_are_measured_once_more(edition, copied, monkeypatch):
+    ran = []
+    repeat = {"kind": "repeat", "experiment": "static_5", "expected_gain": 0.1}
+    words = {"what": "repeat the experiment", "where": "static_5"}
+
+    def undecided(folder):
+        ran.append(folder.name)
+        found = documents(edition[0], NAMES[0])
+        names = {"verdict": "ambiguous", "candidate_set": ["tilt", "arching"]}
+        found["closed_loop"] |= names | {"possible_measurements": [repeat | words]}
+        return found, None
+
+    monkeypatch.setattr(loops, "_closed_loop", undecided)
+    monkeypatch.setattr(loops, "peer_claims", lambda first: {})
+    run_worlds(copied, 1, seed=SEED, code="other")
+    assert ran == [NAMES[0], "then_recommended", "then_random"]
+    run_worlds(copied, 1, seed=SEED, code="other")
+    assert len(ran) == 3
+    scores = score_benchmark(copied)
+    (world,) = scores["remeasured"]["each"]
+    assert world["recommended"] == world["random"] == words | {"resolved": False}
+    write_blind_report(scores, copied / "report.html", copied / "report_data.csv")
+    html = (copied / "report.html").read_text()
+    for choice in ("recommended", "random"):
+        assert f'href="worlds/{NAMES[0]}/then_{choice}/measurement.json"' in html
 
 
 def test_scores_refuse_a_truth_that_was_changed(copied):

@@ -50,6 +50,7 @@ def test_imports_nothing_of_the_model():
         "__future__",
         "collections",
         "dataclasses",
+        "functools",
         "math",
         "numba",
         "numpy",

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from pipeline.blind import injection, laboratory, worlds
-from pipeline.blind.attacks import Plan
-from pipeline.blind.truth import Row
 from pipeline.blind.worlds import draw_world, kind_of, make_worlds, world_name
 from pipeline.config.load import check_measured, load_experiments, load_studies
 
@@ -140,11 +138,12 @@ def test_a_sensor_fault_moves_readings_as_far_as_it_says():
 
 
 def test_noise_has_the_law_that_its_kind_says():
-    rows = [Row("a", f"C{n}", 1.0, None) for n in range(4000) for _ in range(2)]
+    cells = [f"C{n}" for n in range(4000) for _ in range(2)]
     std = {}
     for kind in ("null_plain", "null_heavy_tails", "null_understated_noise"):
-        drawn = worlds._noise(kind, rows, np.random.default_rng(2), Plan().noise)
-        errors = np.array(list(drawn)).reshape(-1, 2)
+        rows = [{"experiment": "a", "load_cell": cell, "reading": 1.0} for cell in cells]
+        worlds.measure(kind, rows, np.random.default_rng(2), {})
+        errors = np.log([row["measured"] for row in rows]).reshape(-1, 2)
         total = np.hypot(injection.SHARED, injection.OWN)
         std[kind] = errors.std() / total
         between = np.corrcoef(errors.T)[0, 1]

@@ -13,7 +13,7 @@ from pipeline.loop.documents import candidates_document
 from pipeline.loop.fit import calibrated
 from pipeline.loop.gate import lack_of_fit, projected
 from pipeline.loop.hypotheses import PRIOR, catalogue, rules, untried
-from pipeline.loop.rounds import _spoken_for_no_more, close
+from pipeline.loop.rounds import _idle, _spoken_for_no_more, close
 from pipeline.loop.steps import attribution, residual
 
 ALPHA = 0.1
@@ -304,3 +304,15 @@ def test_the_documents_hold_the_certificate_of_both_ends(walls):
     left = {e["label"] for e in document["candidates_left"]}
     assert names - left == {"wall_friction [gravel]"}
     assert content.sizes["reading"] == len(problem.data.use)
+
+
+def test_terms_of_an_addition_that_do_nothing_are_no_part_of_it(walls):
+    problem = walls.problem()
+    found = {h.label: h for h in catalogue(problem.study, problem.model, problem.data.use)}
+    tilt = next(h for h in found.values() if h.name == "tilt" and len(h.terms) > 1)
+    start = problem.model.start
+    one = start.with_terms(tilt.terms, [2.0, *(0.0 for _ in tilt.terms[1:])])
+    assert _idle(tilt, one) == list(tilt.terms[1:])
+    assert tilt.without(_idle(tilt, one)).terms == tilt.terms[:1]
+    assert _idle(tilt, start.with_terms(tilt.terms, [2.0] * len(tilt.terms))) == []
+    assert _idle(tilt, start.with_terms(tilt.terms, [0.0] * len(tilt.terms))) == []
