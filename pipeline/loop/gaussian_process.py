@@ -6,8 +6,6 @@ Source: Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
@@ -35,19 +33,29 @@ def correction(
     x, new = features[data.use], features[wanted]
     covariance = noise.covariance
 
-    def kernel(a: np.ndarray, b: np.ndarray, log: np.ndarray) -> np.ndarray:
-        off = (a[:, None] - b[None]) / np.exp(log[1:])
-        return math.exp(2.0 * log[0]) * np.exp(-0.5 * (off**2).sum(axis=-1))
+    def squares(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return (a.T[:, :, None] - b.T[:, None]) ** 2  # (feature, row of a, row of b)
 
-    def cost(log: np.ndarray) -> float:
-        factor = cho_factor(kernel(x, x, log) + covariance, lower=True)
+    def kernel(apart: np.ndarray, log: np.ndarray) -> np.ndarray:
+        return np.exp(2.0 * log[0] - 0.5 * np.tensordot(np.exp(-2.0 * log[1:]), apart, axes=1))
+
+    def cost(log: np.ndarray) -> tuple[float, np.ndarray]:
+        """Negative log likelihood and its gradient."""
+        similar = kernel(own, log)
+        factor = cho_factor(similar + covariance, lower=True)
         alpha = cho_solve(factor, residual)
-        return float(0.5 * residual @ alpha + np.log(np.diag(factor[0])).sum())
+        left = (cho_solve(factor, np.eye(len(alpha))) - np.outer(alpha, alpha)) * similar
+        by_scale = 0.5 * np.exp(-2.0 * log[1:]) * np.tensordot(own, left, axes=2)
+        value = 0.5 * residual @ alpha + np.log(np.diag(factor[0])).sum()
+        return float(value), np.array([left.sum(), *by_scale])
 
+    own = squares(x, x)
     start = np.array([-2.0, *np.zeros(x.shape[1])])
     bounds = [AMPLITUDES, *[SCALES] * x.shape[1]]
-    log = minimize(cost, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40}).x
-    return kernel(new, x, log) @ np.linalg.solve(kernel(x, x, log) + covariance, residual)
+    options = {"maxiter": 40}
+    log = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
+    similar = kernel(squares(new, x), log)
+    return similar @ np.linalg.solve(kernel(own, log) + covariance, residual)
 
 
 def _features(model: Model) -> np.ndarray:
