@@ -90,7 +90,8 @@ def effects_document(model: Model, outcome: Outcome, sd: np.ndarray) -> list[dic
     document = []
     for evidence, probability in zip(outcome.added, outcome.sure, strict=True):
         found_in = (
-            one.attribution is not None and evidence in one.attribution.evidence
+            one.attribution is not None
+            and any(evidence.refit is other.refit for other in one.attribution.evidence)
             for one in outcome.rounds
         )
         number = list(found_in).index(True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ FIRST_DAMPING, MOST_DAMPING = 1.0, 1e3  # in units of an unknown's usual change
 CLOSE, ROUGHLY = 3e-5, 0.01  # drop of χ² that a step must promise
 FAR = 0.3  # of an unknown's scale: from there on the slopes of another point do not serve
 MOVED = 1.0  # likewise for the covariance
+OF_SCATTER = ("s.mean", "s.std")  # what a rough covariance, which knows little of it, would mislead
 REFRESHES = 2  # times that the covariance follows the fit
 AMPLITUDE_PRIOR = 100.0  # sd of an amplitude's prior in a fit, in its scale: too wide to shrink it
 
@@ -57,7 +59,7 @@ def calibrated(
     point, slopes = start, None
     if not settled:
         rough = noise(model, start, data, rough=True).scaled(factors)
-        found = fit(model, data, rough, start, close=ROUGHLY)
+        found = fit(model, data, rough, start, close=ROUGHLY, held=OF_SCATTER)
         point, slopes = found.point, found.slopes
     for _ in range(REFRESHES):
         reference = point
@@ -77,17 +79,21 @@ def fit(
     reference: Point | None = None,
     slopes: np.ndarray | None = None,
     close: float = CLOSE,
+    held: Collection[str] = (),
 ) -> Fit:
     """Levenberg and Marquardt's least squares on common random numbers, bounds kept.
 
     The mean of the few common replicates is corrected by what the many say at `reference`; the
     flow stays that of `reference`, but for parameters of the flow itself. `slopes` are
-    derivatives at or near `start`; they are taken as long as they serve. It ends when a step
-    promises less than `close` of χ².
+    derivatives at or near `start`; they are taken as long as they serve. Coordinates whose names
+    are `held` stay. It ends when a step promises less than `close` of χ².
     """
     offset = np.zeros(len(model.rows)) if reference is None else offset_at(model, reference)
     flow_at = None if _fits_flow(model) else reference or start
     center, sd, low, high = box(model, start)
+    for place, coordinate in enumerate(model.coordinates):
+        if coordinate.name in held:
+            low[place] = high[place] = start.coordinates[place]
 
     def system(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         expected = model.mean(_at(start, x), flow_at) + offset
