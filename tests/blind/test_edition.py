@@ -1,7 +1,7 @@
 """A small edition, scored against the bars: 40 worlds of a laboratory with coarse cells.
 
-Each bar is tested by the exact bounds of its rate. With the fixed seed nothing is random; for a loop
-whose true rate is the bar itself, a fresh seed would break one such test in twenty.
+Each bar is tested by the exact bounds of its rate. With the fixed seed nothing is random; a fresh
+seed would break one such test in twenty for a loop whose true rate is the bar itself.
 """
 
 import pytest

@@ -1,9 +1,12 @@
 """Cases that the loop once failed."""
 
+from dataclasses import replace
+
 import pytest
 from test_improved import assert_same_prediction, mixed_problem
 from worlds import walled_world
 
+from pipeline.loop.documents import effects_document, standard_deviations
 from pipeline.loop.model import Point
 from pipeline.loop.rounds import close
 
@@ -52,3 +55,15 @@ def test_no_hypothesis_takes_the_place_of_what_is_in_the_model(tmp_path):
             for there in last.fit.point.terms:
                 same = (term.effect, term.parameter) == (there.effect, there.parameter)
                 assert not (same and set(term.cases) & set(there.cases)), hypothesis.label
+
+
+def test_an_addition_that_lost_a_term_is_documented_in_its_round(walls):
+    problem = walls.problem()
+    outcome = close(problem.study, problem.model, problem.data)
+    (added,) = outcome.added
+    hypothesis = added.hypothesis.without([])  # another object, as one without a term is
+    lost = replace(outcome, added=(replace(added, hypothesis=hypothesis, log_evidence=0.0),))
+    sd = standard_deviations(problem.model, problem.data, outcome.rounds[-1])
+    documents = [effects_document(problem.model, one, sd) for one in (outcome, lost)]
+    assert documents[0] == documents[1]
+    assert documents[0][0]["round"] == 1
