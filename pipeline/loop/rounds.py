@@ -20,7 +20,6 @@ from pipeline.loop.model import Model, Point, Term
 from pipeline.montecarlo.streams import LOOP_NULL, random_stream
 
 log = logging.getLogger(__name__)
-IDLE = 1e-3  # of an amplitude's scale: nearer to neutral it is no effect
 
 
 @dataclass(frozen=True)
@@ -92,11 +91,12 @@ def close(
         sure.append(probability)
         factors = one.noise.factors
         found, here = calibrated(model, data, named.refit.point, factors, settled=True)
-        idle = _idle(named.hypothesis, found.point)
-        if idle:
+        covariance = posterior_covariance(model, data, found, here)
+        if idle := _idle(named.hypothesis, found, covariance):
             added[-1] = replace(named, hypothesis=named.hypothesis.without(idle))
             found, here = calibrated(model, data, found.point.without(idle), factors, settled=True)
-        for number in _spoken_for_no_more(model, data, found, here, added):
+            covariance = posterior_covariance(model, data, found, here)
+        for number in _spoken_for_no_more(found, covariance, added):
             dropped.append(added[number].hypothesis.label)
             terms = added.pop(number).hypothesis.terms
             sure.pop(number)
@@ -105,36 +105,34 @@ def close(
     return Outcome(tuple(rounds), tuple(added), tuple(sure), tuple(dropped), verdict)
 
 
-def _idle(hypothesis: Hypothesis, point: Point) -> list[Term]:
-    """Terms of an addition that ended where they do nothing; [] if all did."""
-    amplitude = dict(zip(point.terms, point.amplitudes, strict=True))
-    idle = [
-        term
-        for term in hypothesis.terms
-        if abs(amplitude[term] - term.described.neutral) < IDLE * term.described.scale
-    ]
-    return idle if len(idle) < len(hypothesis.terms) else []
+def _idle(hypothesis: Hypothesis, found: Fit, covariance: np.ndarray) -> list[Term]:
+    """Terms of the keys of an addition that have no evidence of their own; [] if none has."""
+    keys: dict[str | None, list[Term]] = {}
+    for term in hypothesis.terms:
+        keys.setdefault(term.key, []).append(term)
+    idle = [terms for terms in keys.values() if _log_evidence(terms, found, covariance) < 0.0]
+    return [term for terms in idle for term in terms] if len(idle) < len(keys) else []
 
 
-def _spoken_for_no_more(
-    model: Model, data: Data, found: Fit, noise: Noise, added: Sequence[Evidence]
-) -> list[int]:
+def _spoken_for_no_more(found: Fit, covariance: np.ndarray, added: Sequence[Evidence]) -> list[int]:
     """Numbers of earlier additions, last first, whose evidence later ones have taken away."""
-    covariance = posterior_covariance(model, data, found, noise)
-    count = len(found.point.coordinates)
-    gone = []
-    for number, evidence in enumerate(added[:-1]):
-        terms = evidence.hypothesis.terms
-        places = [found.point.terms.index(term) for term in terms]
-        tau = np.array([term.described.scale for term in terms])
-        neutral = np.array([term.described.neutral for term in terms])
-        a = (np.array(found.point.amplitudes)[places] - neutral) / tau
-        at = np.array(places) + count
-        information = np.linalg.pinv(covariance[np.ix_(at, at)] / np.outer(tau, tau))
-        occam = 0.5 * np.linalg.slogdet(np.eye(len(a)) + information)[1]
-        if 0.5 * a @ information @ a < occam:
-            gone.append(number)
-    return gone[::-1]
+    left = (_log_evidence(one.hypothesis.terms, found, covariance) for one in added[:-1])
+    return [number for number, evidence in enumerate(left) if evidence < 0.0][::-1]
+
+
+def _log_evidence(terms: Sequence[Term], found: Fit, covariance: np.ndarray) -> float:
+    """Log evidence for terms of a fit against the fit without them, by Laplace's approximation.
+
+    `covariance` (unknown, unknown) is `posterior_covariance`.
+    """
+    places = [found.point.terms.index(term) for term in terms]
+    tau = np.array([term.described.scale for term in terms])
+    neutral = np.array([term.described.neutral for term in terms])
+    a = (np.array(found.point.amplitudes)[places] - neutral) / tau
+    at = np.array(places) + len(found.point.coordinates)
+    information = np.linalg.pinv(covariance[np.ix_(at, at)] / np.outer(tau, tau))
+    occam = 0.5 * np.linalg.slogdet(np.eye(len(a)) + information)[1]
+    return float(0.5 * a @ information @ a - occam)
 
 
 def turn(

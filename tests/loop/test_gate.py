@@ -10,9 +10,10 @@ from pipeline.effects import effects
 from pipeline.loop.attribution import WORTH, Evidence, attribute
 from pipeline.loop.certificate import certificate
 from pipeline.loop.documents import candidates_document
-from pipeline.loop.fit import calibrated
+from pipeline.loop.fit import Fit, calibrated, posterior_covariance
 from pipeline.loop.gate import lack_of_fit, projected
-from pipeline.loop.hypotheses import PRIOR, catalogue, rules, untried
+from pipeline.loop.hypotheses import PRIOR, Hypothesis, catalogue, rules, untried
+from pipeline.loop.model import Term
 from pipeline.loop.rounds import _idle, _spoken_for_no_more, close
 from pipeline.loop.steps import attribution, residual
 
@@ -238,8 +239,9 @@ def test_an_addition_that_a_later_one_makes_needless_is_taken_out(walls):
     start = model.start.with_terms(terms, [t.described.neutral for t in terms])
     fit, noise = calibrated(model, data, start)
     added = [Evidence(h, 0.0, fit) for h in (needless, friction)]
-    assert _spoken_for_no_more(model, data, fit, noise, added) == [0]
-    assert _spoken_for_no_more(model, data, fit, noise, added[::-1]) == []
+    covariance = posterior_covariance(model, data, fit, noise)
+    assert _spoken_for_no_more(fit, covariance, added) == [0]
+    assert _spoken_for_no_more(fit, covariance, added[::-1]) == []
 
 
 def test_all_of_the_catalogue_that_can_act_is_tried(problem):
@@ -306,13 +308,26 @@ def test_the_documents_hold_the_certificate_of_both_ends(walls):
     assert content.sizes["reading"] == len(problem.data.use)
 
 
-def test_terms_of_an_addition_that_do_nothing_are_no_part_of_it(walls):
-    problem = walls.problem()
-    found = {h.label: h for h in catalogue(problem.study, problem.model, problem.data.use)}
-    tilt = next(h for h in found.values() if h.name == "tilt" and len(h.terms) > 1)
-    start = problem.model.start
-    one = start.with_terms(tilt.terms, [2.0, *(0.0 for _ in tilt.terms[1:])])
-    assert _idle(tilt, one) == list(tilt.terms[1:])
-    assert tilt.without(_idle(tilt, one)).terms == tilt.terms[:1]
-    assert _idle(tilt, start.with_terms(tilt.terms, [2.0] * len(tilt.terms))) == []
-    assert _idle(tilt, start.with_terms(tilt.terms, [0.0] * len(tilt.terms))) == []
+def test_keys_of_an_addition_without_evidence_of_their_own_are_no_part_of_it(walls):
+    model = walls.problem().model
+    tau = effects()["surcharge"].parameters[0].scale
+    terms = tuple(
+        Term("surcharge", "stress", "experiment", key, (i,)) for i, key in enumerate("ab")
+    )
+    both = Hypothesis("surcharge", "physics", "experiment", None, terms, 0.1)
+    sd = 0.1 * tau
+    covariance = np.diag([*np.ones(len(model.coordinates)), sd**2, sd**2])
+
+    def idle(*amplitudes):
+        point = model.start.with_terms(terms, [one * sd for one in amplitudes])
+        nothing = np.zeros(0)
+        fit = Fit(point, point, nothing, nothing, nothing, nothing, 0.0)
+        return _idle(both, fit, covariance)
+
+    # 0.5 a² against 0.5 log(1 + (τ / sd)²): even at 2.15 standard deviations
+    assert idle(10.0, 2.0) == [terms[1]]
+    assert idle(10.0, 2.3) == []
+    assert idle(0.0, 2.3) == [terms[0]]
+    assert idle(1.0, 1.0) == []
+    left = both.without([terms[1]])
+    assert (left.terms, left.key, left.label) == (terms[:1], "a", "surcharge [a]")
