@@ -18,6 +18,9 @@ from pipeline.loop.model import Model, Point, limits
 
 REFITTED = 5  # hypotheses that are refitted, at most
 WORTH = 7.0  # difference of log posterior from the best beyond which none is refitted
+# width in its scale τ and share of the normal priors that an amplitude's prior is a mix of: many τ
+# are then less likely than one by a power, not by an exponential
+WIDTHS = {1.0: 1 / 2, 2.0: 1 / 4, 4.0: 1 / 8, 8.0: 1 / 16, 16.0: 1 / 16}
 SURE = 0.9  # posterior from which one name stands for all
 
 
@@ -102,14 +105,19 @@ def attribute(
 
 
 def _log_evidence(columns, z, hypothesis: Hypothesis, inflation: float) -> float:
-    """Closed form for a ~ N(0, τ²), half-normal where physics fixes the side."""
-    _, log_evidence = _posterior(columns, z, hypothesis, inflation)
-    return log_evidence
+    """Closed form for a ~ N(0, τ²), half-normal where physics fixes the side; all `WIDTHS` of τ."""
+    logs = [_posterior(columns, z, hypothesis, inflation, width)[1] for width in WIDTHS]
+    return _over_widths(logs)
 
 
-def _posterior(columns, z, hypothesis, inflation) -> tuple[np.ndarray, float]:
+def _over_widths(logs: Sequence[float]) -> float:
+    """Log evidence under the mix of priors, from that under each."""
+    return float(logsumexp(np.array(logs) + np.log(list(WIDTHS.values()))))
+
+
+def _posterior(columns, z, hypothesis, inflation, width=1.0) -> tuple[np.ndarray, float]:
     """Amplitudes (term) at their posterior mean, wrong sides at 0, and the log evidence."""
-    tau = np.array([term.described.scale for term in hypothesis.terms])
+    tau = width * np.array([term.described.scale for term in hypothesis.terms])
     sign = np.array([term.described.sign for term in hypothesis.terms])
     scaled = columns * tau / math.sqrt(inflation)
     z = z / math.sqrt(inflation)
@@ -143,21 +151,29 @@ def _refitted(model, data, noise, found, seen, hypothesis, inflation) -> Evidenc
     refit = fit(model, data, noise, found.point.with_terms(terms, start), found.reference, slopes)
     added = len(terms)
     whole = projected(model, data, noise, _first(refit, added), terms, refit.slopes[:, -added:])
-    tau = np.array([term.described.scale for term in terms])
     neutral = np.array([term.described.neutral for term in terms])
     amplitude = np.array(refit.point.amplitudes[-added:]) - neutral
-    scaled = whole.columns * tau / math.sqrt(inflation)
-    information = scaled.T @ scaled  # of amplitudes in units of τ
-    spread = np.eye(added) + np.linalg.pinv(information)
     log_evidence = 0.5 * (found.cost - refit.cost) / inflation
-    log_evidence -= 0.5 * (amplitude / tau) @ np.linalg.solve(spread, amplitude / tau)
-    log_evidence -= 0.5 * np.linalg.slogdet(np.eye(added) + information)[1]
     log_evidence -= _surprise(refit.point, added) - _surprise(found.point, 0)
-    sd = np.sqrt(np.diag(np.linalg.inv(np.eye(added) + information))) * tau
+    columns = whole.columns / math.sqrt(inflation)
+    log_evidence += _over_widths([_of_prior(terms, amplitude, columns, w) for w in WIDTHS])
+    return Evidence(hypothesis, float(log_evidence), refit)
+
+
+def _of_prior(terms, amplitude: np.ndarray, columns: np.ndarray, width: float) -> float:
+    """What the prior makes of the evidence for amplitudes (term), one of `WIDTHS`."""
+    tau = width * np.array([term.described.scale for term in terms])
+    scaled = columns * tau
+    information = scaled.T @ scaled  # of amplitudes in units of τ
+    one = np.eye(len(tau))
+    spread = one + np.linalg.pinv(information)
+    part = -0.5 * (amplitude / tau) @ np.linalg.solve(spread, amplitude / tau)
+    part -= 0.5 * np.linalg.slogdet(one + information)[1]
+    sd = np.sqrt(np.diag(np.linalg.inv(one + information))) * tau
     for term, a, s in zip(terms, amplitude, sd, strict=True):
         if sign := term.described.sign:
-            log_evidence += float(log_ndtr(sign * a / s)) + math.log(2.0)
-    return Evidence(hypothesis, float(log_evidence), refit)
+            part += float(log_ndtr(sign * a / s)) + math.log(2.0)
+    return float(part)
 
 
 def _surprise(point: Point, added: int) -> float:
