@@ -30,9 +30,10 @@ import psutil
 from pipeline.config.experiment import Experiment
 from pipeline.lattice import flow_reference
 from pipeline.lattice.block_model import build_block_model
-from pipeline.lattice.cells import STAGNANT
+from pipeline.lattice.cells import MOVEMENT, STAGNANT
 from pipeline.lattice.flow import (
     DRAWN_CELLS,
+    LOOSENED_CELLS,
     VOID_STEPS,
     FlowState,
     climb_chances,
@@ -99,8 +100,9 @@ class Figure:
     values: np.ndarray
     yardstick: str
     yardstick_values: np.ndarray
-    sizes: str
+    shapes: tuple[tuple[int, ...], ...]
     dtype: str
+    remark: str = ""
     targets: tuple[Target, ...] = ()
     quoted: bool = False  # the yardstick was not measured here
 
@@ -122,7 +124,11 @@ class Figure:
                 **_spread(self.yardstick_values),
             },
             "ratio": parts["ratio"],
-            "sizes": self.sizes,
+            "sizes": {
+                "shapes": [list(shape) for shape in self.shapes],
+                "cells": [math.prod(shape) for shape in self.shapes],
+                "remark": self.remark,
+            },
             "dtype": self.dtype,
             "repeats": len(self.values),
             "targets": [
@@ -153,9 +159,10 @@ class Action(NamedTuple):
 
 
 def measure(actions: Mapping[str, Action], repeats: int) -> dict[str, np.ndarray]:
-    """Rates (repeat) of actions that take turns, in s⁻¹ of what they did; the first one warms up.
+    """Rates (repeat) of actions that take turns, in what they did a second.
 
-    Each is called until `LEAST_SECONDS` have passed; how often that takes is found out before.
+    In a repeat each is called as often as it takes to fill `LEAST_SECONDS`; finding out how often
+    warms it up.
     """
     calls = {}
     for name, action in actions.items():
@@ -250,10 +257,6 @@ def _setup(experiment: Experiment) -> Setup:
     return make_setup(experiment, build_block_model(experiment))
 
 
-def _words(*shape: int) -> str:
-    return " × ".join(map(str, shape)) + f" = {math.prod(shape)} cells"
-
-
 def _replicate(setup: Setup) -> Action:
     parameters = declared_parameters(setup.experiment)
     packing, flow = np.random.default_rng(1), np.random.default_rng(2)
@@ -300,7 +303,7 @@ def static_figures(side: int, repeats: int) -> Iterator[Figure]:
         "STREAM triad",
         goals if cells >= MINE else {},
         unit="cells/s",
-        sizes=_words(*shape),
+        shapes=(shape,),
         dtype="float32",
     )
 
@@ -334,7 +337,7 @@ def reference_figures(side: int, repeats: int) -> Iterator[Figure]:
         "the sweep's plain-Python reference": Action(stress_by_reference),
         "sweep, small lattice": _sweep(weight, edge, corner),
     }
-    about = {"sizes": _words(*shape), "unit": "cells/s", "dtype": "float32"}
+    about = {"shapes": (shape,), "unit": "cells/s", "dtype": "float32"}
     yield from _figures(measure(actions, repeats), next(iter(actions)), **about)
 
     middle = side // 2
@@ -342,21 +345,22 @@ def reference_figures(side: int, repeats: int) -> Iterator[Figure]:
     mass, cells = np.ones(code.size), min(20, side)
     chances = climb_chances(EXPONENT)
 
-    def copy():
-        return FlowState(*(part.copy() for part in undisturbed))
+    def afresh():
+        return FlowState(*(part.copy() for part in undisturbed)), np.random.default_rng(1)
 
     def drawn_by(draw, law):
-        def run(state):
-            draw(state, mass, 0, float(cells), law, BULKING, np.random.default_rng(1))
+        def run(prepared):
+            state, stream = prepared
+            draw(state, mass, 0, float(cells), law, BULKING, stream)
             return state.counters[VOID_STEPS]
 
-        return Action(run, copy)
+        return Action(run, afresh)
 
     actions = {
         "the flow's plain-Python reference": drawn_by(flow_reference.draw_to, EXPONENT),
         "flow, small lattice": drawn_by(draw_to, chances),
     }
-    about = {"sizes": f"{_words(*shape)}, {cells} drawn", "unit": "void steps/s", "dtype": "int32"}
+    about |= {"unit": "void steps/s", "dtype": "int32", "remark": f"{cells} cells drawn"}
     yield from _figures(measure(actions, repeats), next(iter(actions)), **about)
 
 
@@ -379,53 +383,70 @@ def published_figures(side: int, repeats: int) -> Iterator[Figure]:
         ("the same by levels in NumPy", published_sweep_by_levels),
     ):
         actions = {name: restated(sweep), "sweep, 2-D": _sweep(weight[:, None], edge, corner)}
-        about = {"sizes": _words(side, 1, side), "unit": "cells/s", "dtype": "float64"}
+        about = {"shapes": ((side, 1, side),), "unit": "cells/s", "dtype": "float64"}
         yield from _figures(measure(actions, repeats), name, **about)
 
 
 def flow_figures(side: int, repeats: int) -> Iterator[Figure]:
-    """The flow kernel of a mine after breakthrough, against random reads of as many int32."""
+    """The flow kernel on a mine's lattice, against random reads of as many int32.
+
+    In moving ground, all of which has been loosened before, each void climbs to the surface; in
+    new ground zones grow from the drawpoints, draw by draw. Draw goes on from repeat to repeat.
+    """
     setup = _setup(cube(side, drawn=True))
-    state, points = setup.undisturbed, len(setup.experiment.drawpoints)
+    new, points = setup.undisturbed, len(setup.experiment.drawpoints)
     mass = setup.cell_weight.astype(np.float64) / GRAVITY
     chances, rng = climb_chances(EXPONENT), np.random.default_rng(1)
 
-    def drawing(order, cells, bulking=BULKING):
+    def drawing(state, order, cells):
         def run(_):
             drawn, before = state.counters[[DRAWN_CELLS, VOID_STEPS]]
             start = state.drawn_mass[drawn - 1] if drawn else 0.0
             ends = start + cells * mass[0] * np.arange(1, len(order) + 1)
             lacking = np.zeros(points)
-            draw_visits(state, mass, order, ends, 0.0, lacking, chances, bulking, rng)
+            draw_visits(state, mass, order, ends, 0.0, lacking, chances, BULKING, rng)
             return state.counters[VOID_STEPS] - before
 
         return Action(run)
 
-    in_turn, cells = np.arange(points), min(CELLS_A_VISIT, side)
-    drawing(in_turn, 4 * cells, bulking=0.0).run(None)  # voids that never park open all columns
-    elsewhere = np.cumsum(rng.integers(1, points, points * cells)) % points
     values = np.full(setup.code.size, 0, np.int32)
     position = np.uint64(1)
 
     def reads(_):
         nonlocal position
-        position = random_reads(values, READS, position)
+        position = np.uint64(random_reads(values, READS, position))
         return READS
 
+    moving = _all_loosened(new)
+    in_turn, cells = np.arange(points), min(CELLS_A_VISIT, side)
+    elsewhere = np.cumsum(rng.integers(1, points, points * cells)) % points
     actions = {
         "random reads": Action(reads),
-        "flow, a mine's schedule": drawing(in_turn, cells),
-        "flow, each cell drawn elsewhere": drawing(elsewhere, 1),
+        "flow, a mine's schedule, moving ground": drawing(moving, in_turn, cells),
+        "flow, a mine's schedule, new ground": drawing(new, in_turn, cells),
+        "flow, each cell drawn elsewhere, moving ground": drawing(moving, elsewhere, 1),
     }
-    goals = {"flow, a mine's schedule": (Target("value", 20e6),)}
+    goals = {name: (Target("value", 20e6),) for name in actions if "schedule" in name}
     yield from _figures(
         measure(actions, repeats),
         "random reads",
         goals if setup.code.size >= MINE else {},
         unit="void steps/s",
-        sizes=f"{_words(*setup.code.shape)}, {points} drawpoints, {cells} cells a visit",
+        shapes=(setup.code.shape,),
         dtype="int32",
+        remark=f"{points} drawpoints, {cells} cells a visit",
     )
+
+
+def _all_loosened(new: FlowState) -> FlowState:
+    """A copy in which all ground belongs to one movement zone."""
+    state = FlowState(*(part.copy() for part in new))
+    state.code[:] = MOVEMENT
+    state.zone[:] = 0
+    state.zone_root[:] = 0
+    state.level_min_x[0], state.level_max_x[0] = 0, state.code.shape[2] - 1
+    state.counters[LOOSENED_CELLS] = state.code.size
+    return state
 
 
 def laboratory_figures(repeats: int) -> Iterator[Figure]:
@@ -471,8 +492,9 @@ def laboratory_figures(repeats: int) -> Iterator[Figure]:
         values,
         "discrete elements, 26 s of one core for 0.4 kg",
         np.full(len(values), drawn / laboratory_seconds),
-        _words(*setup.code.shape) + ", two readings; there some 23000 spheres",
+        (setup.code.shape,),
         "float32",
+        "two readings; there some 23000 spheres",
         quoted=True,
     )
 
@@ -547,7 +569,7 @@ def memory_figures(side: int, repeats: int) -> tuple[list[Figure], Memory]:
     about = {
         "unit": "bytes/cell",
         "yardstick": "three arrays, measured alike",
-        "sizes": _words(side, side, side),
+        "shapes": ((side, side, side),),
         "dtype": "float32",
     }
     figures = [
@@ -577,7 +599,7 @@ def scaling_figures(
     Sizes whose need would not fit into four fifths of the free memory are left out, with a line
     in `skipped`.
     """
-    cells, ours, yardsticks = [], [], []
+    shapes, ours, yardsticks = [], [], []
     for side in sides:
         need = side**3 * (max(memory.making, memory.replicate) + memory.yardstick)
         free = psutil.virtual_memory().available
@@ -590,10 +612,12 @@ def scaling_figures(
         setup = _setup(cube(side))
         actions = {"triad": _triad(side**3), "replicate": _replicate(setup)}
         rates = measure(actions, repeats)
-        cells.append(side**3)
+        shapes.append(setup.code.shape)
         ours.append(side**3 / rates["replicate"])
         yardsticks.append(side**3 / rates["triad"])
         del setup, actions
+
+    cells = [math.prod(shape) for shape in shapes]
 
     def powers(seconds):
         return np.polyfit(np.log(cells), np.log(seconds), 1)[0]
@@ -601,22 +625,22 @@ def scaling_figures(
     target = (Target("value", 1.05, is_most=True),) if cells[-1] >= HUGE else ()
     yield Figure(
         "power of wall time against cells, static replicate",
-        "1",
+        "",
         powers(ours),
         "STREAM triad's power",
         powers(yardsticks),
-        ", ".join(f"{n:.3g}" for n in cells) + " cells",
+        tuple(shapes),
         "float32",
-        target,
+        targets=target,
     )
-    for n, seconds, yardstick in zip(cells, ours, yardsticks, strict=True):
+    for shape, seconds, yardstick in zip(shapes, ours, yardsticks, strict=True):
         yield Figure(
             "wall time of a static replicate",
             "s",
             seconds,
             "STREAM triad",
             yardstick,
-            f"{n} cells",
+            (shape,),
             "float32",
         )
 
@@ -643,6 +667,7 @@ def run_benchmark(sizes: Sizes) -> dict[str, Any]:
     figures += scaling_figures(sizes.scaling, min(repeats, 3), of_static, skipped)
     return {
         "machine": machine,
+        "lattices": sizes._asdict(),
         "figures": [figure.document() for figure in figures],
         "skipped": skipped,
         "seconds": time.perf_counter() - start,
@@ -683,47 +708,54 @@ def as_table(document: Mapping[str, Any]) -> str:
         f"load at the start {machine['load_average'][0]:.2f}; "
         f"Python {machine['python']}, NumPy {machine['numpy']}, numba {machine['numba']}"
     )
-    rows = [("figure", "median", "min–max", "yardstick", "median", "ratio", "min–max", "n", "")]
-    sizes = ""
-    lines = []
+    rows, groups = [("", "median", "min–max", "ratio", "min–max", "target")], []
     for figure in document["figures"]:
-        value, yardstick, ratio = figure["value"], figure["yardstick"], figure["ratio"]
-        scale, unit = 1.0, figure["unit"].replace("1", "")
+        value, ratio, yardstick = figure["value"], figure["ratio"], figure["yardstick"]
+        scale, unit = 1.0, figure["unit"]
         if unit in ("cells/s", "void steps/s"):
             scale, unit = 1e-6, f"M {unit}"
+        quoted = "quoted" if yardstick["quoted"] else _range(yardstick, scale)
+        median = f"{scale * yardstick['median']:.4g} {unit}".rstrip()
+        groups.append(
+            f"{_words(figure['sizes'])}, {figure['dtype']}, {figure['repeats']} repeats; "
+            f"yardstick: {yardstick['name']}, {median} ({quoted})"
+        )
+        targets = figure["targets"]
         rows.append(
             (
                 "  " + figure["name"],
-                f"{scale * value['median']:.4g} {unit}".rstrip(),
+                f"{scale * value['median']:.4g} {unit}",
                 _range(value, scale),
-                yardstick["name"] + (" (quoted)" if yardstick["quoted"] else ""),
-                f"{scale * yardstick['median']:.4g}",
                 f"{ratio['median']:.3g}",
                 _range(ratio),
-                str(figure["repeats"]),
-                "; ".join(_judged(target, scale) for target in figure["targets"]),
+                "; ".join(_judged(target, scale, unit) for target in targets),
             )
         )
-        about = f"{figure['sizes']}, {figure['dtype']}"
-        lines.append("" if about == sizes else about)
-        sizes = about
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    text = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-    table = [text[0]]
-    for about, row in zip(lines, text[1:], strict=True):
-        table += [about, row] if about else [row]
+    title, *text = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+    table = [title]
+    for group, before, row in zip(groups, [None, *groups], text, strict=False):
+        table += [row] if group == before else [group, row]
     left_out = [f"left out: {reason}" for reason in document["skipped"]]
-    return "\n".join([head, "", *table, *left_out, f"took {document['seconds']:.0f} s"])
+    return "\n".join([head, "", *table, "", *left_out, f"took {document['seconds']:.0f} s"])
+
+
+def _words(sizes: Mapping[str, Any]) -> str:
+    words = ", ".join(f"{cells:.3g}" for cells in sizes["cells"])
+    if len(sizes["shapes"]) == 1:
+        words = " × ".join(map(str, sizes["shapes"][0])) + f" = {sizes['cells'][0]}"
+    return f"{words} cells" + (f", {sizes['remark']}" if sizes["remark"] else "")
 
 
 def _range(spread: Mapping[str, float], scale: float = 1.0) -> str:
     return f"{scale * spread['min']:.3g}–{scale * spread['max']:.3g}"
 
 
-def _judged(target: Mapping[str, Any], scale: float) -> str:
-    bound = target["bound"] * (scale if target["of"] == "value" else 1.0)
-    verdict = "met" if target["met"] else "missed"
-    return f"{target['of']} at {target['is']} {bound:.3g}: {verdict}"
+def _judged(target: Mapping[str, Any], scale: float, unit: str) -> str:
+    bound = f"{target['bound']:.3g} of the yardstick"
+    if target["of"] == "value":
+        bound = f"{scale * target['bound']:.3g} {unit}".rstrip()
+    return f"at {target['is']} {bound}: {'met' if target['met'] else 'missed'}"
 
 
 def main(arguments: list[str]) -> int:

@@ -45,10 +45,11 @@ def published_sweep(
         σ = w + f σ_s + (1 − f)/2 (σ_l + σ_r) + (τ_l − τ_r)/2
         τ = (τ_l + τ_r)/2 + (1 − f)/2 (σ_l − σ_r).
 
-    A void carries nothing, and what points at it is lost. Two things differ from the published
-    code, so that weight is kept where there are no voids: the top level carries its weight, and
-    beyond a wall stands the mirror image of the cell beside it (there: the neighbor on the other
-    side, which keeps the weight of uniform levels only). Neither is of weight for speed.
+    One cell stands at a place (there: many, of several sizes). A void carries nothing, and what
+    points at it is lost. Two things differ from the published code, so that weight is kept where
+    there are no voids: the top level carries its weight, and beyond a wall stands the mirror image
+    of the cell beside it (there: the neighbor on the other side, which keeps the weight of uniform
+    levels only). Neither matters for speed.
 
     Parameters
     ----------
