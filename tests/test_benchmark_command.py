@@ -4,6 +4,8 @@ No test here asserts a speed.
 """
 
 import json
+from contextlib import redirect_stdout
+from io import StringIO
 
 import numpy as np
 import pytest
@@ -21,14 +23,13 @@ SWEEPS = (published_sweep, published_sweep_by_levels)
 
 @pytest.fixture(scope="module")
 def printed():
-    """What `--quick --json` and `--quick` print, on lattices of a few cells."""
+    """What `--quick --json` prints, on lattices of a few cells."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(benchmark, "QUICK", TINY)
         patch.setattr(benchmark, "LEAST_SECONDS", 0.0)
-        out = []
-        patch.setattr("builtins.print", out.append)
-        assert benchmark.main(["--quick", "--json"]) == 0
-    return out[0]
+        with redirect_stdout(StringIO()) as out:
+            assert benchmark.main(["--quick", "--json"]) == 0
+    return out.getvalue()
 
 
 def test_every_figure_has_its_yardstick_ratio_sizes_and_repeats(printed):
