@@ -105,6 +105,7 @@ class Figure:
     remark: str = ""
     targets: tuple[Target, ...] = ()
     quoted: bool = False  # the yardstick was not measured here
+    yardstick_unit: str | None = None  # None: as the figure's
 
     @property
     def ratios(self) -> np.ndarray:
@@ -121,6 +122,7 @@ class Figure:
             "yardstick": {
                 "name": self.yardstick,
                 "quoted": self.quoted,
+                "unit": self.unit if self.yardstick_unit is None else self.yardstick_unit,
                 **_spread(self.yardstick_values),
             },
             "ratio": parts["ratio"],
@@ -432,6 +434,7 @@ def flow_figures(side: int, repeats: int) -> Iterator[Figure]:
         "random reads",
         goals if setup.code.size >= MINE else {},
         unit="void steps/s",
+        yardstick_unit="reads/s",
         shapes=(setup.code.shape,),
         dtype="int32",
         remark=f"{points} drawpoints, {cells} cells a visit",
@@ -711,11 +714,10 @@ def as_table(document: Mapping[str, Any]) -> str:
     rows, groups = [("", "median", "min–max", "ratio", "min–max", "target")], []
     for figure in document["figures"]:
         value, ratio, yardstick = figure["value"], figure["ratio"], figure["yardstick"]
-        scale, unit = 1.0, figure["unit"]
-        if unit in ("cells/s", "void steps/s"):
-            scale, unit = 1e-6, f"M {unit}"
-        quoted = "quoted" if yardstick["quoted"] else _range(yardstick, scale)
-        median = f"{scale * yardstick['median']:.4g} {unit}".rstrip()
+        scale, unit = _scaled(figure["unit"])
+        scale_beside, unit_beside = _scaled(yardstick["unit"])
+        quoted = "quoted" if yardstick["quoted"] else _range(yardstick, scale_beside)
+        median = f"{scale_beside * yardstick['median']:.4g} {unit_beside}".rstrip()
         groups.append(
             f"{_words(figure['sizes'])}, {figure['dtype']}, {figure['repeats']} repeats; "
             f"yardstick: {yardstick['name']}, {median} ({quoted})"
@@ -745,6 +747,13 @@ def _words(sizes: Mapping[str, Any]) -> str:
     if len(sizes["shapes"]) == 1:
         words = " × ".join(map(str, sizes["shapes"][0])) + f" = {sizes['cells'][0]}"
     return f"{words} cells" + (f", {sizes['remark']}" if sizes["remark"] else "")
+
+
+def _scaled(unit: str) -> tuple[float, str]:
+    """Factor and unit in which people read a rate."""
+    if unit in ("cells/s", "void steps/s", "reads/s"):
+        return 1e-6, f"M {unit}"
+    return 1.0, unit
 
 
 def _range(spread: Mapping[str, float], scale: float = 1.0) -> str:
