@@ -684,7 +684,9 @@ def describe_machine() -> dict[str, Any]:
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     caches = {}
     for cache in sorted(Path("/sys/devices/system/cpu/cpu0/cache").glob("index*")):
-        level, kind, size = ((cache / part).read_text().strip() for part in _CACHE_PARTS)
+        level, kind, size = (
+            (cache / part).read_text().strip() for part in ("level", "type", "size")
+        )
         caches[f"L{level} {kind.lower()}"] = size
     return {
         "processor": models[0] if models else platform.processor() or None,
@@ -696,9 +698,6 @@ def describe_machine() -> dict[str, Any]:
         "numpy": np.__version__,
         "numba": numba.__version__,
     }
-
-
-_CACHE_PARTS = ("level", "type", "size")
 
 
 def as_table(document: Mapping[str, Any]) -> str:
