@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 TARGETS ?=
-PYTEST_ARGS ?= -n 2 --dist loadfile
+PYTEST_ARGS ?= -n 2 --dist loadfile --no-loadscope-reorder
 
 .PHONY: run test clean
 
