@@ -351,10 +351,17 @@ def _new_levels(case: Case, places, scatter: np.ndarray) -> list[New]:
 
 
 def _correlation(scatter: np.ndarray, read: Iterable[dict[float, int]], levels) -> float:
-    """Mean correlation of the packing scatter at two fill levels; 0 where no cell read both."""
+    """Mean correlation of the packing scatter at two fill levels; 0 where no cell read both.
+
+    What does not scatter has none.
+    """
     pairs = [[at[h] for h in levels] for at in read if all(h in at for h in levels)]
     sizes = np.sqrt(np.diag(scatter))
-    found = [scatter[a, b] / (sizes[a] * sizes[b]) for a, b in (p for p in pairs if len(p) == 2)]
+    found = [
+        scatter[a, b] / (sizes[a] * sizes[b])
+        for a, b in (pair for pair in pairs if len(pair) == 2)
+        if sizes[a] * sizes[b] > 0.0
+    ]
     return float(np.clip(np.mean(found), 0.0, 1.0)) if found else 0.0
 
 
