@@ -341,10 +341,12 @@ def _sharing(
             continue
         if len({t.key for t in keys}) < 2:
             continue
-        fitted = {}
+        starts, fitted = [_shared_point(after, name)], {}
         for label, fold_data in (("calibration", data), *_fold_data(problem, folds)):
             view = model.only(fold_data.use)
-            fitted[label] = calibrated(view, fold_data, _shared_point(after, name))[0].point
+            ends = [calibrated(view, fold_data, start)[0] for start in starts]
+            fitted[label] = min(ends, key=lambda found: found.cost).point
+            starts = [starts[0], fitted["calibration"]]  # the first may end in a minimum nearby
         expected = predicted(model, fitted["calibration"], data.use)
         entry = {
             "name": name,
