@@ -100,3 +100,9 @@ def test_scatter_lasts_as_two_levels_correlate():
 def test_what_gains_nothing_is_not_recommended():
     ranked = [{"expected_gain": gain} for gain in (0.4, 0.1, 1e-4, -0.2)]
     assert recommended(ranked) == ranked[:2]
+
+
+def test_levels_that_do_not_scatter_have_no_correlation():
+    read = [{0.5: 0, 1.0: 1}]
+    assert _correlation(np.zeros((2, 2)), read, [0.5, 1.0]) == 0.0
+    assert _correlation(np.ones((2, 2)), read, [0.5, 1.0]) == 1.0
