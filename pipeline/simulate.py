@@ -299,7 +299,7 @@ def _simulate_draw(setup, parameters, packing, flow, observe, inspect):
     lattice, dtype = setup.lattice, setup.cell_weight.dtype
     ground = _Ground(setup, parameters, packing)
     if not isinstance(flow, FlowRecord):
-        flow = _Flow(setup, parameters, ground.cell_mass, flow)
+        flow = _Flow(setup, parameters, _mass_of(ground.cells), flow)
     weight, shed = np.zeros(lattice.shape, dtype), np.zeros(lattice.shape, dtype)
     out = _Recorder(setup, ground.negative_share, observe is not None, inspect)
     readings = out.readings
@@ -466,7 +466,6 @@ class _Ground:
         self._setup, self._parameters, self._rng = setup, parameters, packing
         self._dtype = setup.cell_weight.dtype
         self.cells = _packing(setup, parameters, packing)
-        self.cell_mass = _mass_of(self.cells)
         s = self._draw(setup.code.shape, np.arange(setup.code.size).reshape(setup.code.shape))
         self.edge, self.corner = spreading_weights(s, self._rule, self._dtype)
         ground = setup.code == STAGNANT

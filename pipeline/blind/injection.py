@@ -153,8 +153,7 @@ class World:
         A large shift may be one that other parameters make as well, though not in proportion to
         their derivatives here: calibration goes after it in steps.
         """
-        names = [name for name in self.fitted if any(self._reaches(one, name) for one in added)]
-        if not names:
+        if not any(self._reaches(one, name) for one in added for name in self.fitted):
             return 0.0
         moved = read_logs(self.generator, self.simulate(self.fitted, added, LOOKS), added)
         theta, deltas = self.theta.copy(), []

@@ -22,7 +22,6 @@ class Data:
     independent : (n) variance of what is independent from reading to reading
     shared : (n, n) covariance of what the readings of one load cell share
     scatter : (n) part of one packing's scatter that is in the value: 1 / sqrt(count), or 0
-    groups : (n) number of the block (experiment, load cell, quantity) that a row belongs to
     """
 
     use: np.ndarray
@@ -30,7 +29,6 @@ class Data:
     independent: np.ndarray
     shared: np.ndarray
     scatter: np.ndarray
-    groups: np.ndarray
 
 
 def observed(model: Model, measured: Sequence[MeasuredRow], use: Sequence[int]) -> Data:
@@ -44,7 +42,7 @@ def observed(model: Model, measured: Sequence[MeasuredRow], use: Sequence[int]) 
     is_log = model.is_log[use]
     value = np.array([row.value for row in rows])
     size = np.where(is_log, value, 1.0)
-    blocks: dict[tuple, int] = {}
+    blocks: dict[tuple, int] = {}  # of one experiment, load cell and quantity
     keys = [(model.case_of[i], r.load_cell, r.quantity) for i, r in zip(use, rows, strict=True)]
     groups = np.array([blocks.setdefault(key, len(blocks)) for key in keys], dtype=int)
     together = np.array([row.std_shared for row in rows]) / size
@@ -56,5 +54,4 @@ def observed(model: Model, measured: Sequence[MeasuredRow], use: Sequence[int]) 
             independent=(np.array([row.std for row in rows]) / size) ** 2,
             shared=np.where(same, np.outer(together, together), 0.0),
             scatter=np.array([1.0 / np.sqrt(row.count) if row.count else 0.0 for row in rows]),
-            groups=groups,
         )

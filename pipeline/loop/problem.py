@@ -97,7 +97,6 @@ def subset(problem: Problem, rows: Sequence[int]) -> Data:
         independent=data.independent[kept],
         shared=data.shared[np.ix_(kept, kept)],
         scatter=data.scatter[kept],
-        groups=data.groups[kept],
     )
 
 

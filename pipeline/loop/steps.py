@@ -115,7 +115,7 @@ def attribution(problem: Problem, start: xr.Dataset) -> tuple[dict[str, Any], li
         "untestable_parameters": _untestable(model, data, first.fit),
         "next_measurement": recommended(additions),
         "possible_measurements": additions,
-        "noise": _noise(problem, outcome),
+        "noise": _noise(outcome),
         "degrees_of_freedom": {
             "readings": len(data.use),
             "calibrated": len(model.coordinates),
@@ -144,7 +144,7 @@ def _untestable(model: Model, data: Data, found: Fit) -> list[str]:
     ]
 
 
-def _noise(problem: Problem, outcome: Outcome) -> dict[str, Any]:
+def _noise(outcome: Outcome) -> dict[str, Any]:
     """What noise the test took, and what 1.5 times the declared noise would have changed."""
     first = outcome.rounds[0]
     sd = float(np.sqrt(np.mean(np.diag(first.noise.covariance))))
@@ -298,11 +298,12 @@ def _fold(problem: Problem, fold: Fold, start: xr.Dataset, points) -> dict[str, 
         places = np.array(rows)
         old, new = (predicted(model, end, rows)[places] for end in ends)
         gp = correction(model, data, here, before.residual, places)
-        again = _recalibrated(problem, data, before, places)[places]
         expected = {
             "before": old,
             "after": new,
-            "recalibrated_only": again if study.parameters == () else old,
+            "recalibrated_only": old
+            if study.parameters
+            else _recalibrated(problem, data, before, places)[places],
             "gaussian_process": old + gp,
         }
     return {
@@ -342,7 +343,8 @@ def _sharing(
         if len({t.key for t in keys}) < 2:
             continue
         starts, fitted = [_shared_point(after, name)], {}
-        for label, fold_data in (("calibration", data), *_fold_data(problem, folds)):
+        own = {fold["name"]: fold["data"] for fold in folds} if problem.leaves_one_out else {}
+        for label, fold_data in ({"calibration": data} | own).items():
             view = model.only(fold_data.use)
             ends = [calibrated(view, fold_data, start)[0] for start in starts]
             fitted[label] = min(ends, key=lambda found: found.cost).point
@@ -377,11 +379,6 @@ def _sharing(
             entry["held_out"] = errors(model, measured, rows, part)
         alternatives.append(entry)
     return alternatives
-
-
-def _fold_data(problem: Problem, folds):
-    if problem.leaves_one_out:
-        yield from ((fold["name"], fold["data"]) for fold in folds)
 
 
 def _shared_point(point: Point, name: str) -> Point:
