@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
+from pipeline.effects import effects
+
 DELTA_BINS = (0.0, 2.0, 3.5, 5.0, 8.0, math.inf)
 PROBABILITY_BINS = (0.0, 0.5, 0.7, 0.9, 0.97, 1.0)
 NULLS = ("null_plain", "null_heavy_tails", "null_understated_noise")
@@ -27,6 +29,7 @@ SINGLE = ("one", "sensor_or_input")
 NO_CLAIM = "no_effect_detectable"
 LOCAL_RULE = "local_rule"
 PREDICTIONS = ("after", "recalibrated_only", "gaussian_process")
+STRONG = 5.0  # δ from which an effect is to be found
 WORSE = 1.05
 CHOICES = ("recommended", "random")  # of one more measurement
 
@@ -118,6 +121,21 @@ class Scored:
         return bool(self.named) and self.named[0] in self.true
 
     @property
+    def is_missed(self) -> bool:
+        """Whether effects that all move the readings by `STRONG` are not what the loop says.
+
+        That is another effect than the one that is there, or none; not exactly the two that are;
+        for what is outside the catalogue, any effect of the catalogue, or not the right rule.
+        """
+        if self.delta is None or self.delta < STRONG:
+            return False
+        if self.kind == "outside":
+            return bool(self.named) or not _rule_is_right(self)
+        if self.kind == "two":
+            return set(self.named) != set(self.true)
+        return not self.first_is_right
+
+    @property
     def candidate_names(self) -> set[str]:
         """Names that the loop leaves open, those that it added included."""
         return {name for name, _ in self.named} | set(self.result["candidate_set"])
@@ -182,6 +200,7 @@ def score(worlds: Sequence[Scored]) -> dict[str, Any]:
         "peers": _peers(worlds),
         "attacks": _attacks(attacks),
         "remeasured": _remeasured(worlds),
+        "missed": [_missed(w) for w in soft if w.is_missed],
         "seconds": _seconds(worlds),
         "each": [_each(world, error) for world, error in zip(worlds, errors, strict=True)],
     }
@@ -322,7 +341,7 @@ def _two(worlds: Iterable[Scored], claims: Callable[[Scored], Sequence[Claim]]) 
         }
 
     group = list(worlds)
-    return {"all": of(group), "both_at_least_5": of([w for w in group if w.delta >= 5])}
+    return {"all": of(group), "both_at_least_5": of([w for w in group if w.delta >= STRONG])}
 
 
 def _rule_is_right(world: Scored) -> bool:
@@ -351,9 +370,51 @@ def _outside(worlds: Sequence[Scored]) -> dict[str, Any]:
     }
     return {
         "all": of(worlds),
-        "at_least_5": of([w for w in worlds if w.delta >= 5]),
+        "at_least_5": of([w for w in worlds if w.delta >= STRONG]),
         "by_delta": by_delta,
     }
+
+
+def _missed(world: Scored) -> dict[str, Any]:
+    """What stood against the truth in a world with strong effects that the loop missed.
+
+    `effects` has for each true one the probability that the loop gave it at first (None where the
+    gate did not reject), its nearest mimic, and how many standard deviations apart the readings
+    of the two are, for the true amplitude: below three no method can tell them apart for sure.
+    """
+    likely = {}
+    for one in world.result["candidates"][::-1]:  # the most probable hypothesis of a claim stays
+        likely[one["name"], one["scope_key"]] = one
+    answers = []
+    for one in world.truth["effects"]:
+        found = likely.get((one["name"], one["scope_key"]), {})
+        distance = found.get("mimic_distance")
+        if distance is not None:
+            distance *= _usual_amplitudes(one)
+        answers.append(
+            {
+                "name": one["name"],
+                "scope_key": one["scope_key"],
+                "delta": one["delta"],
+                "probability": found.get("probability"),
+                "nearest_mimic": found.get("nearest_mimic"),
+                "mimic_distance": distance,
+            }
+        )
+    return {
+        "world": world.truth["world"],
+        "kind": world.kind,
+        "generator": world.truth["generator"],
+        "said": _said(world),
+        "effects": answers,
+    }
+
+
+def _usual_amplitudes(effect: Mapping[str, Any]) -> float:
+    """How many usual amplitudes a true effect of the catalogue is away from neutral."""
+    described = effects()[effect["name"]].parameters
+    parts = [(effect["parameters"].get(p.name, p.neutral) - p.neutral) / p.scale for p in described]
+    return math.hypot(*parts)
 
 
 # ---------------------------------------------------------------------------------------------
@@ -494,7 +555,7 @@ def _held_out_tables(worlds: Sequence[Scored], errors: Sequence[Mapping]) -> dic
         return table
 
     def strong(world):
-        return world.delta is not None and world.delta >= 5
+        return world.delta is not None and world.delta >= STRONG
 
     return {
         "one_effect_at_least_5": of(lambda w: w.kind in SINGLE and strong(w)),
@@ -520,7 +581,7 @@ def _peers(worlds: Sequence[Scored]) -> dict[str, Any]:
             return bool(world.peers[name]) and tuple(world.peers[name][0]) in world.true
 
         of_single = [w for w in single if name in w.peers]
-        strong = [w for w in of_single if w.delta >= 5]
+        strong = [w for w in of_single if w.delta >= STRONG]
         plain = [w for w in asked if w.kind == "null_plain"]
         two = [w for w in asked if w.kind == "two"]
         table[name] = {
@@ -587,7 +648,7 @@ def _bars(tables: Mapping[str, Any], single, soft) -> list[dict[str, Any]]:
     """Each quantity with its figure, bar and stretch, and whether they are met."""
     plain = tables["false_alarms"]["null_plain"]
     overall = _named_first(single)
-    strong = _named_first([w for w in single if w.delta >= 5])
+    strong = _named_first([w for w in single if w.delta >= STRONG])
     probable = [right for p, right in _probable(soft) if p >= 0.9]
     held_out = tables["held_out"]
     ratio = held_out["one_effect_at_least_5"].get("after_rms_log", {}).get("median_ratio")

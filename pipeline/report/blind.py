@@ -88,6 +88,7 @@ def blind_page(scores: Mapping[str, Any], data: Data, file_names: Iterable[str])
         held_out=held_out_table(scores, data),
         peers=peer_table(scores, data),
         attacks=attack_tables(scores, data),
+        missed=missed_table(scores, data),
         again=again_table(scores, data),
         remeasured=remeasured_table(scores, data),
         worlds=world_table(scores, data),
@@ -347,6 +348,50 @@ def answer_table(scores: Mapping[str, Any], data: Data) -> Table:
         ):
             add(f"outside the catalogue{suffix}: {words}", scores["outside"][group][key])
     return table
+
+
+def missed_table(scores: Mapping[str, Any], data: Data) -> Table | None:
+    """What stood against the truth in each world with strong effects that was missed."""
+    table = Table(
+        "missed",
+        "Every world whose effects all move the readings by δ ≥ 5 and are not what the loop says. "
+        "Probability: of the true effect in the first round, where the gate rejected. Distance: "
+        "how many standard deviations the readings differ from those that the nearest mimic "
+        "makes; below three the two cannot be told apart for sure by any method.",
+        [
+            "World",
+            "Kind",
+            "Data from",
+            "Truth",
+            "δ",
+            "Said",
+            "Probability",
+            "Nearest mimic",
+            "Distance",
+        ],
+        data,
+    )
+    for one in scores["missed"]:
+        name = one["world"]
+        for place, effect in enumerate(one["effects"], start=1):
+            numbers = [
+                table.number(name, f"{key} {place}", effect[key], digits)
+                for key, digits in (("delta", 1), ("probability", 2), ("mimic_distance", 1))
+            ]
+            table.rows.append(
+                [
+                    Link(name, f"worlds/{name}/closed_loop.json"),
+                    KINDS[one["kind"]],
+                    GENERATORS[one["generator"]],
+                    _claims([(effect["name"], effect["scope_key"])]),
+                    numbers[0],
+                    _words(one["said"]),
+                    numbers[1],
+                    _words(effect["nearest_mimic"] or MISSING),
+                    numbers[2],
+                ]
+            )
+    return table if table.rows else None
 
 
 def held_out_table(scores: Mapping[str, Any], data: Data) -> Table:

@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import binomtest
 
 from pipeline.blind.scores import Scored, SealBrokenError, append_log, open_world, rate, score
+from pipeline.effects import effects
 
 
 def truth(kind, *effects, generator="lattice", world="world_0000"):
@@ -42,6 +43,7 @@ def result(verdict="no_effect_detectable", *added, candidates=(), rules=()):
         "candidate_set": list(candidates),
         "gate": [{"round": 1, "rejected": verdict != "no_effect_detectable"}],
         "local_rules": list(rules),
+        "candidates": [],
     }
 
 
@@ -133,6 +135,32 @@ def test_right_needs_the_name_and_the_place():
     assert scores["confusion_by_delta"][">8"] == {}
     assert scores["sets"]["coverage"]["count"] == 3
     assert scores["sets"]["mean_size"] == pytest.approx(1.25)
+
+
+def test_what_strong_worlds_were_missed_for_is_listed():
+    answer = result("ambiguous", candidates=["wall_friction", "cohesion"])
+    parts = {"name": "wall_friction", "scope_key": "sand", "nearest_mimic": "cohesion [sand]"}
+    answer["candidates"] = [
+        parts | {"probability": 0.6, "mimic_distance": 2.0},
+        parts | {"probability": 0.1, "mimic_distance": 9.0},
+    ]
+    wall = effect("wall_friction", 6.0, "sand") | {"parameters": {"K": 0.45}}
+    scale = effects()["wall_friction"].parameters[0].scale
+    pair = truth("two", effect("tilt", 7.0), effect("surcharge", 8.0), world="world_0001")
+    worlds = [
+        Scored(truth("one", wall), answer),
+        Scored(truth("one", wall), result("effect", ("wall_friction", "sand", 0.99))),
+        Scored(truth("one", effect("tilt", 4.9)), result()),
+        Scored(pair, result("effect", ("tilt", None, 0.99))),
+        Scored(truth("null_plain"), result("effect", ("tilt", None, 0.99))),
+    ]
+    first, second = score(worlds)["missed"]
+    (found,) = first["effects"]
+    assert first["said"] == "ambiguous: wall_friction, cohesion"
+    assert found["probability"] == 0.6
+    assert found["mimic_distance"] == pytest.approx(2.0 * 0.45 / scale)
+    assert second["world"] == "world_0001"
+    assert [one["probability"] for one in second["effects"]] == [None, None]
 
 
 def test_weak_worlds_do_not_count_as_missed():
