@@ -34,7 +34,11 @@ source: >-
   154, 105124, by its length. R, s, bulking and the shape of E_min as in their draw box. All else is
   an example: no mine was measured, so that nothing is calibrated or validated here.
 geometry: {{width: {width}, length: {length}, height: {height}, cell_size: {cell_size:g}}}
-material: {{name: broken_ore, bulk_density: {density}, particle_density: 2700, particle_size: [0.1, 2.0]}}
+material:
+  name: broken_ore
+  bulk_density: {density}
+  particle_density: 2700
+  particle_size: [0.1, 2.0]
 stress:
   from: castro_2006_1452                  # E at equal base stress of this column, see docs/mine.md
   s: {{mean: 4, std: 3}}
