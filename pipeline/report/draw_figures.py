@@ -15,6 +15,7 @@ from pipeline.report.figures import (
     section_size,
 )
 from pipeline.report.page import Data, Figure, Table, decimals_of, parts
+from pipeline.report.plan_figures import MOST_MAPS, Area, evenly, mass_unit, plan
 from pipeline.report.results import Results
 from pipeline.report.stress_figures import measured_points
 from pipeline.simulate import visits
@@ -32,6 +33,7 @@ VARIANTS = {  # suffix of the variables of another run: its words, color and das
 def draw_figures(results: Results, data: Data) -> list[Figure]:
     """Load cells, sections, growth of the movement zone, E_min and the extraction zone."""
     return [
+        *([base_map_figure(results, data)] if results.has_many_load_cells else []),
         load_cell_figure(results, data),
         stress_section_figure(results, data),
         zone_section_figure(results, data),
@@ -42,8 +44,9 @@ def draw_figures(results: Results, data: Data) -> list[Figure]:
 
 
 def draw_tables(results: Results, data: Data) -> list[Table]:
-    """Extremes of each load cell, and what each drawpoint gave."""
-    return [load_cell_table(results, data), drawpoint_table(results, data)]
+    """Extremes of each load cell, its stress where they are many, what each drawpoint gave."""
+    by_period = [base_stress_table(results, data)] if results.has_many_load_cells else []
+    return [*by_period, load_cell_table(results, data), drawpoint_table(results, data)]
 
 
 def stress_ratio(results: Results, suffix: str = "") -> np.ndarray:
@@ -91,7 +94,8 @@ def load_cell_figure(results: Results, data: Data) -> Figure:
     tops = [high, *others.values(), *(v + e for _, v, e in measured.values())]
     top = max(np.nanmax(values) for values in tops if np.isfinite(values).any())
     panels = []
-    for i, cell in enumerate(results.load_cells):
+    for i in results.shown_load_cells:
+        cell = results.load_cells[i]
         known = mean[np.isfinite(mean[:, i]), i]
         extremes = f"from {known.min():.2f} to {known.max():.2f}" if len(known) else "no ground"
         panel = Panel(
@@ -115,14 +119,90 @@ def load_cell_figure(results: Results, data: Data) -> Figure:
         panels.append(panel)
     caption = parts(
         "Vertical stress on each load cell over that before draw; all panels have the same axes. "
-        "n = {} replicates. {}",
+        "n = {} replicates. {}{}",
         data.number("load_cells", "", "replicates", results.count),
         f"Points, {results.label} data: stress over the reading before draw, bars are ± 1 sd of "
         "the readings' independent error."
         if any(len(v) for _, v, _ in measured.values())
         else "No load cell was measured.",
+        results.words_of_shown,
     )
     return Figure("load_cells", "Stress on the load cells during draw", caption, panels)
+
+
+def base_map_figure(results: Results, data: Data) -> Figure:
+    """Mean stress on each load cell in plan, reading by reading, from `base_stress.csv`."""
+    experiment, rows = results.experiment, results.base_stress
+    factor, unit = mass_unit(results.clock[-1])
+    high = max(float(row["mean_mpa"]) for row in rows if row["mean_mpa"])
+    extent = (experiment.geometry.width, experiment.geometry.length)
+    panels = []
+    for t in evenly(len(results.clock), MOST_MAPS):
+        values = [float(row["mean_mpa"] or "nan") for row in rows if int(row["reading"]) == t]
+        mass = factor * results.clock[t]
+        panels.append(
+            plan(
+                data,
+                "base_map",
+                f"{mass:.4g} {unit} drawn" if t else "Before draw",
+                extent,
+                areas_of(results.load_cells),
+                np.array(values),
+                "mean stress (MPa)",
+                (0.0, high),
+                areas_of(experiment.drawpoints),
+                "mean stress",
+            )
+        )
+    caption = parts(
+        "Simulated mean stress on each load cell at the base, n = {} replicates; all maps have "
+        "the same scale. Squares are drawpoints{}.",
+        data.number("base_map", "", "replicates", results.count),
+        assumed_words(results),
+    )
+    return Figure("base_map", "Base stress in plan, period by period", caption, panels)
+
+
+def base_stress_table(results: Results, data: Data) -> Table:
+    """Stress on each load cell at each reading, from `base_stress.csv`."""
+    factor, unit = mass_unit(results.clock[-1])
+    statistics = {"mean": "mean", "p10": "P10", "p50": "P50", "p90": "P90"}
+    table = Table(
+        "base_stress",
+        parts(
+            "Base stress of each load cell and period: simulated mean and percentiles over {} "
+            "replicates at the end of the period. The same is in base_stress.csv.",
+            data.number("base_stress", "", "replicates", results.count),
+        ),
+        [
+            "Load cell, period",
+            f"Drawn ({unit})",
+            *(f"Stress (kPa): {words}" for words in statistics.values()),
+            *(f"Stress (MPa): {words}" for words in statistics.values()),
+        ],
+        data,
+    )
+    for row in results.base_stress:
+        numbers = [(factor * float(row["mass_drawn_kg"]), None)]
+        for scale, decimals in (("kpa", 1), ("mpa", 4)):
+            values = (row[f"{name}_{scale}"] for name in statistics)
+            numbers += [(float(value) if value else None, decimals) for value in values]
+        period = f"period {row['reading']}" if row["reading"] != "0" else "before draw"
+        table.add_numbers(f"{row['load_cell']}, {period}", numbers)
+    return table
+
+
+def areas_of(areas) -> list[Area]:
+    """Drawpoints or load cells as a plan takes them."""
+    return [(area.name, area.x, area.y, area.width, area.length) for area in areas]
+
+
+def assumed_words(results: Results) -> str:
+    """In brackets, which of drawpoints and load cells are assumed; empty where none is."""
+    assumed = [key for key in ("drawpoints", "load_cells") if key in results.experiment.assumed]
+    if not assumed:
+        return ""
+    return f" (assumed, not from the source: {' and '.join(assumed).replace('_', ' ')})"
 
 
 def load_cell_table(results: Results, data: Data) -> Table:
@@ -233,16 +313,13 @@ def _mark_base(panel: Panel, results: Results) -> None:
 
 def _section_caption(results: Results, data: Data, figure: str, words: str):
     y = float(results.fields["y"].values[results.section_row])
-    assumed = [key for key in ("drawpoints", "load_cells") if key in results.experiment.assumed]
     return parts(
         "{}, x–z section at y = {} m, n = {} replicates. Bars under the base mark drawpoints and "
         "load cells{}.",
         words,
         data.number(figure, "", "y", y, unit="m"),
         data.number(figure, "", "replicates", results.count),
-        f" (assumed, not from the source: {' and '.join(assumed).replace('_', ' ')})"
-        if assumed
-        else "",
+        assumed_words(results),
     )
 
 

@@ -23,6 +23,8 @@ FRONT = 4  # columns of drawbells that panel caving draws at a time
 VISITS = 100  # of each drawpoint
 PERIODS = 5
 CELL_SIZE, CELLS_DRAWN = 2.0, 100_000
+ASSUMED = ("stress.s", "stress.R", "stress.E_min", "flow", "geometry", "material")
+ASSUMED += ("drawpoints", "load_cells", "draw")
 
 HEAD = """\
 # Written by make_mine.py, beside this file: change that one.
@@ -116,7 +118,7 @@ def experiment(name: str, cell_size: float, cells_drawn: int) -> str:
     side = f"width: {width}, length: {length}"
     lines += [f"  - {{name: {n}, x: {x:g}, y: {y:g}, {side}}}\n" for n, x, y in pillars()]
     lines.append("calibrate: []\nreplicates: 6\nseed: 2022\n")
-    lines.append("assumed: [stress, flow, geometry, material, drawpoints, load_cells, draw]\n")
+    lines.append(f"assumed: [{', '.join(ASSUMED)}]\n")
     return "".join(lines)
 
 
