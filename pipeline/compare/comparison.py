@@ -17,6 +17,7 @@ from pipeline.config.load import digest
 from pipeline.montecarlo.base_stress import MPA, stress_percentiles
 from pipeline.simulate import load_cells
 
+PEAK_WITHIN = 1e-3  # a stress that stays the same but for this has its peak when it began
 SIDES = ("first", "second")
 STATISTICS = ("mean", "p10", "p50", "p90")
 PLACE = ("x_m", "y_m", "width_m", "length_m")
@@ -78,9 +79,9 @@ def compare(
     -------
     dict: `mass_drawn_kg` of the readings; `base`, the mean over the whole base, and `load_cells`,
     each with its place and for either side the series of mean and percentiles over replicates,
-    the peak of the mean and when, and the share of time above the threshold; `difference`, the
-    second's mean less the first's, with its standard error, the replicates of the two being
-    independent.
+    the peak of the mean and when it was first reached (but for `PEAK_WITHIN` of it), and the
+    share of time above the threshold; `difference`, the second's mean less the first's, with its
+    standard error, the replicates of the two being independent.
     """
     mass = replicates[0]["mass_drawn"].values
     cells = load_cells(experiments[0])
@@ -157,7 +158,7 @@ def _side(stress: np.ndarray, mass: np.ndarray, threshold: float) -> list[dict[s
     share = stress_percentiles(share_of_time_above(stress, mass, threshold))
     found = []
     for cell in range(stress.shape[2]):
-        peak = _at_most(series["mean"][:, cell])
+        peak = _first_at_peak(series["mean"][:, cell])
         found.append(
             {
                 **{f"{name}_mpa": series[name][:, cell] for name in STATISTICS},
@@ -171,6 +172,12 @@ def _side(stress: np.ndarray, mass: np.ndarray, threshold: float) -> list[dict[s
             }
         )
     return found
+
+
+def _first_at_peak(values: np.ndarray) -> int:
+    """Index of the first value that is the largest but for `PEAK_WITHIN` of it."""
+    largest = values[_at_most(values)]
+    return int(np.argmax(values >= largest * (1.0 - PEAK_WITHIN)))
 
 
 def _at_most(values: np.ndarray) -> int:

@@ -93,7 +93,7 @@ def write_comparison_report(
             series=series_figure(document, data),
             differences=difference_figure(document, data),
             maps=[
-                map_figure(document, data),
+                *(map_figure(document, data, side) for side in SIDES),
                 peak_figure(document, data),
                 share_figure(document, data),
             ],
@@ -275,28 +275,32 @@ def _largest(values: np.ndarray) -> float:
     return float(known.max()) if known.size and known.max() > 0 else 1.0
 
 
-def map_figure(document: Document, data: Data) -> Figure:
-    """Mean stress on each load cell, reading by reading, of both."""
-    values = {side: document.values(side, "mean_mpa") for side in SIDES}
-    high = max(_largest(value) for value in values.values())
+def map_figure(document: Document, data: Data, side: str) -> Figure:
+    """Mean stress on each load cell of one side in plan, reading by reading."""
+    name = document.names[SIDES.index(side)]
+    values = document.values(side, "mean_mpa")
+    high = max(_largest(document.values(one, "mean_mpa")) for one in SIDES)
     panels = [
         plan(
             data,
-            "stress_maps",
-            f"{name}, {_at(document, t)}",
+            f"stress_maps_{side}",
+            _at(document, t),
             document.extent,
             document.load_cells,
-            values[side][:, t],
+            values[:, t],
             STRESS,
             (0.0, high),
             document.drawpoints(side),
-            "mean stress",
+            f"mean stress, {name},",
         )
         for t in _readings(document)
-        for side, name in zip(SIDES, document.names, strict=True)
     ]
-    caption = "Simulated mean stress on each load cell at the readings during draw, one scale."
-    return Figure("stress_maps", "Stress in plan", caption, panels)
+    caption = parts(
+        "Simulated mean stress on each load cell at the readings during draw of {}; the scale is "
+        "that of both experiments.",
+        name,
+    )
+    return Figure(f"stress_maps_{side}", f"Stress in plan: {name}", caption, panels)
 
 
 def peak_figure(document: Document, data: Data) -> Figure:
@@ -331,7 +335,7 @@ def peak_figure(document: Document, data: Data) -> Figure:
             )
     caption = (
         "Highest mean stress of each load cell among the readings, and the mass drawn at which it "
-        "was read; 0 is before draw."
+        "was first reached (but for 0.1 %); 0 is before draw."
     )
     return Figure("peak_maps", "Peak stress, and when", caption, panels)
 

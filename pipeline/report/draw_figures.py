@@ -15,12 +15,11 @@ from pipeline.report.figures import (
     section_size,
 )
 from pipeline.report.page import Data, Figure, Table, decimals_of, parts
-from pipeline.report.plan_figures import MOST_MAPS, Area, evenly, mass_unit, plan
+from pipeline.report.plan_figures import MOST_MAPS, Area, evenly, plan
 from pipeline.report.results import Results
 from pipeline.report.stress_figures import measured_points
 from pipeline.simulate import visits
 
-MASS = "mass drawn (kg)"
 RATIO = "σᵥ / σᵥ₀ (–)"
 SECTIONS = 4  # readings shown as sections, the first and the last among them
 BAND = "5–95 % of replicates"
@@ -82,7 +81,7 @@ def measured_ratio(results: Results, load_cell: str):
 
 def load_cell_figure(results: Results, data: Data) -> Figure:
     """σᵥ/σᵥ₀ of each load cell against mass drawn, on the same axes (Figs 16 and 18)."""
-    ratio, mass = stress_ratio(results), results.clock
+    ratio, mass = stress_ratio(results), results.drawn
     low, high = np.quantile(ratio, [0.05, 0.95], axis=0)
     mean = ratio.mean(axis=0)
     others = {
@@ -102,7 +101,7 @@ def load_cell_figure(results: Results, data: Data) -> Figure:
             data,
             "load_cells",
             f"Load cell {cell.name}",
-            MASS,
+            mass_words(results),
             RATIO,
             f"Load cell {cell.name}: simulated stress over that before draw, {extremes}.",
             (2.05, 1.6),
@@ -113,7 +112,7 @@ def load_cell_figure(results: Results, data: Data) -> Figure:
                 panel.curve(words, mass, others[suffix][:, i], color=color, dash=dash)
         panel.curve("model, mean", mass, mean[:, i], low[:, i], high[:, i], band=BAND)
         readings, values, errors = measured[cell.name]
-        panel_x = [r["mass_drawn"] or 0.0 for r in readings]
+        panel_x = [results.mass_unit[0] * (r["mass_drawn"] or 0.0) for r in readings]
         measured_points(panel, results, readings, panel_x, values, values - errors, values + errors)
         panel.axes.set(ylim=(0, 1.08 * top), xlim=(-0.02 * mass[-1], 1.02 * mass[-1]))
         panels.append(panel)
@@ -133,18 +132,16 @@ def load_cell_figure(results: Results, data: Data) -> Figure:
 def base_map_figure(results: Results, data: Data) -> Figure:
     """Mean stress on each load cell in plan, reading by reading, from `base_stress.csv`."""
     experiment, rows = results.experiment, results.base_stress
-    factor, unit = mass_unit(results.clock[-1])
     high = max(float(row["mean_mpa"]) for row in rows if row["mean_mpa"])
     extent = (experiment.geometry.width, experiment.geometry.length)
     panels = []
     for t in evenly(len(results.clock), MOST_MAPS):
         values = [float(row["mean_mpa"] or "nan") for row in rows if int(row["reading"]) == t]
-        mass = factor * results.clock[t]
         panels.append(
             plan(
                 data,
                 "base_map",
-                f"{mass:.4g} {unit} drawn" if t else "Before draw",
+                mass_drawn_words(results, t) if t else "Before draw",
                 extent,
                 areas_of(results.load_cells),
                 np.array(values),
@@ -165,7 +162,7 @@ def base_map_figure(results: Results, data: Data) -> Figure:
 
 def base_stress_table(results: Results, data: Data) -> Table:
     """Stress on each load cell at each reading, from `base_stress.csv`."""
-    factor, unit = mass_unit(results.clock[-1])
+    factor, unit = results.mass_unit
     statistics = {"mean": "mean", "p10": "P10", "p50": "P50", "p90": "P90"}
     table = Table(
         "base_stress",
@@ -192,6 +189,16 @@ def base_stress_table(results: Results, data: Data) -> Table:
     return table
 
 
+def mass_words(results: Results) -> str:
+    """Name of an axis of the mass drawn."""
+    return f"mass drawn ({results.mass_unit[1]})"
+
+
+def mass_drawn_words(results: Results, t: int) -> str:
+    """What is drawn at a reading."""
+    return f"{results.drawn[t]:.4g} {results.mass_unit[1]} drawn"
+
+
 def areas_of(areas) -> list[Area]:
     """Drawpoints or load cells as a plan takes them."""
     return [(area.name, area.x, area.y, area.width, area.length) for area in areas]
@@ -207,7 +214,7 @@ def assumed_words(results: Results) -> str:
 
 def load_cell_table(results: Results, data: Data) -> Table:
     """Largest and smallest σᵥ/σᵥ₀ of each load cell."""
-    mean, mass = stress_ratio(results).mean(axis=0), results.clock
+    mean, mass, unit = stress_ratio(results).mean(axis=0), results.drawn, results.mass_unit[1]
     table = Table(
         "load_cell_extremes",
         parts(
@@ -219,9 +226,9 @@ def load_cell_table(results: Results, data: Data) -> Table:
             "Load cell",
             "Stress before draw (kPa)",
             "Model: largest",
-            "Model: at mass (kg)",
+            f"Model: at mass ({unit})",
             "Model: smallest",
-            "Model: at mass (kg) ",
+            f"Model: at mass ({unit}) ",
             f"Data, {results.label}: largest",
             f"Data, {results.label}: smallest",
         ],
@@ -292,7 +299,7 @@ def zone_section_figure(results: Results, data: Data) -> Figure:
 
 def _section_panel(results: Results, data: Data, figure: str, t: int, words: str) -> Panel:
     x, z = results.fields["x"].values, results.fields["z"].values
-    mass = f"{results.clock[t]:.4g} kg drawn"
+    mass = mass_drawn_words(results, t)
     return Panel(
         data,
         figure,
@@ -325,7 +332,7 @@ def _section_caption(results: Results, data: Data, figure: str, words: str):
 
 def movement_zone_figure(results: Results, data: Data) -> Figure:
     """Height and width of the movement zone against mass drawn (Fig. 11)."""
-    mass, panels = results.clock, []
+    mass, panels = results.drawn, []
     for part in ("height", "width"):
         name = f"movement_zone_{part}"
         mean, low, high = (
@@ -335,16 +342,17 @@ def movement_zone_figure(results: Results, data: Data) -> Figure:
             data,
             "movement_zone",
             part.capitalize(),
-            MASS,
+            mass_words(results),
             f"{part} of the movement zone (m)",
-            f"The movement zone's {part} reaches {mean[-1]:.3g} m at {mass[-1]:.4g} kg.",
+            f"The movement zone's {part} reaches {mean[-1]:.3g} m at {mass[-1]:.4g} "
+            f"{results.mass_unit[1]}.",
             (3.3, 2.2),
         )
         limit = getattr(results.experiment.geometry, part)
         panel.reference(f"{part} of the model", y=limit, dash="dotted")
         panel.curve("model, mean", mass, mean, low, high, band=BAND)
         readings = results.readings(name)
-        x = [r["mass_drawn"] or 0.0 for r in readings]
+        x = [results.mass_unit[0] * (r["mass_drawn"] or 0.0) for r in readings]
         measured_points(panel, results, readings, x, [r["measured"] for r in readings])
         panel.axes.set(ylim=(0, 1.08 * limit), xlim=(-0.02 * mass[-1], 1.02 * mass[-1]))
         panels.append(panel)
@@ -430,6 +438,7 @@ def drawpoint_table(results: Results, data: Data) -> Table:
     """Scheduled and drawn mass of each drawpoint, its shortfall, and hang-ups."""
     experiment, statistics = results.experiment, results.statistics
     hang_ups = float(results.replicates["hang_ups"].mean())
+    factor, unit = results.mass_unit
     table = Table(
         "drawpoints",
         parts(
@@ -440,11 +449,11 @@ def drawpoint_table(results: Results, data: Data) -> Table:
         ),
         [
             "Drawpoint",
-            "Scheduled (kg)",
-            "Drawn (kg)",
-            "sd between replicates (kg)",
+            f"Scheduled ({unit})",
+            f"Drawn ({unit})",
+            f"sd between replicates ({unit})",
             "Share of schedule",
-            "Shortfall (kg)",
+            f"Shortfall ({unit})",
         ],
         data,
     )
@@ -458,6 +467,7 @@ def drawpoint_table(results: Results, data: Data) -> Table:
     each = np.diff(total, axis=1, prepend=0.0)
     drawn = np.array([np.where(which == i, each, 0.0).sum(axis=1) for i in range(len(scheduled))])
     shortfall = statistics["drawpoint_shortfall_mean"].values
+    scheduled, drawn, shortfall = factor * scheduled, factor * drawn, factor * shortfall
     for i, point in enumerate(experiment.drawpoints):
         spread = drawn[i].std(ddof=1) if results.count > 1 else None
         decimals = decimals_of(scheduled[i] or 1.0)

@@ -19,13 +19,12 @@ from pipeline.files.atomic import read_json
 from pipeline.lattice.block_model import lattice_of
 from pipeline.lattice.grid import Lattice
 from pipeline.parameters import Parameters
-from pipeline.report.plan_figures import evenly
+from pipeline.report.plan_figures import evenly, mass_unit
 from pipeline.simulate import load_cells
 from pipeline.validate.validation import CALIBRATED
 
-
 MANY_LOAD_CELLS = 12  # beyond them a map and a table stand for a panel of each
-MOST_PANELS = 6  # of single load cells, where there are many
+MOST_PANELS = 7  # of single load cells, where there are many
 
 
 @dataclass(frozen=True)
@@ -98,6 +97,16 @@ class Results:
     def clock(self) -> np.ndarray:
         """Mass drawn (kg), or fill height (m) of a static experiment, at each reading."""
         return self.replicates["mass_drawn" if self.experiment.is_draw else "fill_height"].values
+
+    @property
+    def mass_unit(self) -> tuple[float, str]:
+        """Factor from kg and unit in which the masses of a draw experiment read well."""
+        return mass_unit(self.experiment.mass_scheduled)
+
+    @property
+    def drawn(self) -> np.ndarray:
+        """Mass drawn at each reading, in that unit."""
+        return self.mass_unit[0] * self.clock
 
     @property
     def at_rest(self) -> int:

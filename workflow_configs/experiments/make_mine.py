@@ -1,7 +1,7 @@
 """Write the mine-scale experiments `mine_panel` and `mine_block`, one layout and two strategies.
 
-    python make_mine.py                                        # the files beside this one
-    python make_mine.py --cell-size 0.7 --cells-drawn 100000 --folder DIR   # 28 million cells
+    python make_mine.py                                            # the files beside this one
+    python make_mine.py --cell-size 0.7 --periods 1 --replicates 1 --folder DIR   # 28 million cells
 
 x runs along the production drifts, y across them. The base is the floor of the undercut. What
 belongs to a cell size follows it: the movement zone keeps its length c / (1 - E_min), E follows by
@@ -9,6 +9,7 @@ belongs to a cell size follows it: the movement zone keeps its length c / (1 - E
 """
 
 import argparse
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,7 +22,8 @@ BULK_DENSITY = 1900  # kg m-3
 ZONE_LENGTH, ZONE_HEIGHT = 4.6, 120  # c / (1 - E_min), m, in a movement zone of that height, m
 FRONT = 4  # columns of drawbells that panel caving draws at a time
 VISITS = 100  # of each drawpoint
-PERIODS = 5
+PERIODS, REPLICATES = 5, 6
+LABORATORY = ("castro_2006_1452.yaml", "measured/castro_2006_1452.csv")  # E is carried from it
 CELL_SIZE, CELLS_DRAWN = 2.0, 100_000
 ASSUMED = ("stress.s", "stress.R", "stress.E_min", "flow", "geometry", "material")
 ASSUMED += ("drawpoints", "load_cells", "draw")
@@ -86,7 +88,7 @@ STRATEGIES = {
 }
 
 
-def experiment(name: str, cell_size: float, cells_drawn: int) -> str:
+def experiment(name: str, cell_size: float, cells_drawn: int, periods: int, replicates: int) -> str:
     """YAML of one strategy on cells of `cell_size` m, of which so many are drawn in all."""
     title, strategy = STRATEGIES[name]
     total = cells_drawn * BULK_DENSITY * cell_size**3
@@ -111,27 +113,33 @@ def experiment(name: str, cell_size: float, cells_drawn: int) -> str:
         mass = visits * len(points) * visit
         amounts = f"mass: {mass:.9g}, increment: {visit:.9g}"
         lines.append(f"  - {{drawpoints: [{', '.join(points)}], {amounts}}}\n")
-    lines.append(f"readings: {{every: {total / PERIODS:.9g}}}\n")
+    lines.append(f"readings: {{every: {total / periods:.9g}}}\n")
     lines.append("# Pillars of the extraction level, between production drifts and drawbells.\n")
     lines.append("load_cells:\n")
     width, length = DRAWBELL_SPACING - DRIFT_WIDTH, DRIFT_SPACING - DRIFT_WIDTH
     side = f"width: {width}, length: {length}"
     lines += [f"  - {{name: {n}, x: {x:g}, y: {y:g}, {side}}}\n" for n, x, y in pillars()]
-    lines.append("calibrate: []\nreplicates: 6\nseed: 2022\n")
+    lines.append(f"calibrate: []\nreplicates: {replicates}\nseed: 2022\n")
     lines.append(f"assumed: [{', '.join(ASSUMED)}]\n")
     return "".join(lines)
 
 
 def main() -> None:
-    """Write both files."""
+    """Write both files, in another folder with the laboratory test whose E they take."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cell-size", type=float, default=CELL_SIZE, help="m")
     parser.add_argument("--cells-drawn", type=int, default=CELLS_DRAWN, help="by both strategies")
-    parser.add_argument("--folder", type=Path, default=Path(__file__).parent)
+    parser.add_argument("--periods", type=int, default=PERIODS, help="readings during draw")
+    parser.add_argument("--replicates", type=int, default=REPLICATES)
+    here = Path(__file__).resolve().parent
+    parser.add_argument("--folder", type=Path, default=here)
     asked = parser.parse_args()
-    asked.folder.mkdir(parents=True, exist_ok=True)
+    if asked.folder.resolve() != here:
+        (asked.folder / "measured").mkdir(parents=True, exist_ok=True)
+        for file in LABORATORY:
+            shutil.copyfile(here / file, asked.folder / file)
     for name in STRATEGIES:
-        text = experiment(name, asked.cell_size, asked.cells_drawn)
+        text = experiment(name, asked.cell_size, asked.cells_drawn, asked.periods, asked.replicates)
         (asked.folder / f"{name}.yaml").write_text(text, encoding="utf-8")
 
 
