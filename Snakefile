@@ -12,6 +12,7 @@ include: "pipeline/workflow/rules/experiments.smk"
 include: "pipeline/workflow/rules/flow_law.smk"
 include: "pipeline/workflow/rules/effects.smk"
 include: "pipeline/workflow/rules/studies.smk"
+include: "pipeline/workflow/rules/comparisons.smk"
 include: "pipeline/workflow/rules/index.smk"
 include: "pipeline/workflow/rules/blind_benchmark.smk"
 

@@ -1,4 +1,4 @@
-"""From YAML files to checked experiments and studies; all problems at once."""
+"""From YAML files to checked experiments, studies and comparisons; all problems at once."""
 
 import hashlib
 import json
@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
+from pipeline.config.comparison import Comparison, comparison_problems
 from pipeline.config.experiment import DRAW_PARAMETERS, Experiment
 from pipeline.config.measured import MeasuredError, MeasuredRow, read_measured
 from pipeline.config.messages import NAME_PATTERN, ConfigError, did_you_mean, problems, shown_path
@@ -182,6 +183,26 @@ def load_studies(
     if found:
         raise ConfigError(found)
     return studies
+
+
+def load_comparison(path: Path) -> Comparison:
+    """The comparison in the YAML file ``path``; ConfigError with every problem of the file."""
+    return _load(Comparison, path)
+
+
+def load_comparisons(folder: Path, experiments: Mapping[str, Experiment]) -> dict[str, Comparison]:
+    """All comparisons (*.yaml, *.yml) of a folder by name, sorted.
+
+    Raises ConfigError with the problems of all files, and where two experiments do not compare.
+    """
+    comparisons, found = _load_each(_files_of(folder, "comparisons"), load_comparison)
+    for one in comparisons.values():
+        named = (experiments[name] for name in one.experiments if name in experiments)
+        rows = {experiment.name: check_measured(experiment) for experiment in named}
+        found += [(one.path, text) for text in comparison_problems(one, experiments, rows)]
+    if found:
+        raise ConfigError(found)
+    return comparisons
 
 
 def check_measured(experiment: Experiment) -> tuple[MeasuredRow, ...]:

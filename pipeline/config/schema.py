@@ -6,11 +6,16 @@ import json
 import sys
 from pathlib import Path
 
+from pipeline.config.comparison import Comparison
 from pipeline.config.experiment import Experiment
 from pipeline.config.study import Study
 
 FOLDER = Path(__file__).parents[2] / "workflow_configs" / "schema"
-MODELS = {"experiment.schema.json": Experiment, "study.schema.json": Study}
+MODELS = {
+    "experiment.schema.json": Experiment,
+    "study.schema.json": Study,
+    "comparison.schema.json": Comparison,
+}
 
 
 def schema_text(name: str) -> str:

@@ -15,11 +15,11 @@ from pipeline.report.figures import (
     section_size,
 )
 from pipeline.report.page import Data, Figure, Table, decimals_of, parts
+from pipeline.report.plan_figures import MOST_MAPS, Area, evenly, plan
 from pipeline.report.results import Results
 from pipeline.report.stress_figures import measured_points
 from pipeline.simulate import visits
 
-MASS = "mass drawn (kg)"
 RATIO = "σᵥ / σᵥ₀ (–)"
 SECTIONS = 4  # readings shown as sections, the first and the last among them
 BAND = "5–95 % of replicates"
@@ -32,6 +32,7 @@ VARIANTS = {  # suffix of the variables of another run: its words, color and das
 def draw_figures(results: Results, data: Data) -> list[Figure]:
     """Load cells, sections, growth of the movement zone, E_min and the extraction zone."""
     return [
+        *([base_map_figure(results, data)] if results.has_many_load_cells else []),
         load_cell_figure(results, data),
         stress_section_figure(results, data),
         zone_section_figure(results, data),
@@ -42,8 +43,9 @@ def draw_figures(results: Results, data: Data) -> list[Figure]:
 
 
 def draw_tables(results: Results, data: Data) -> list[Table]:
-    """Extremes of each load cell, and what each drawpoint gave."""
-    return [load_cell_table(results, data), drawpoint_table(results, data)]
+    """Extremes of each load cell, its stress where they are many, what each drawpoint gave."""
+    by_period = [base_stress_table(results, data)] if results.has_many_load_cells else []
+    return [*by_period, load_cell_table(results, data), drawpoint_table(results, data)]
 
 
 def stress_ratio(results: Results, suffix: str = "") -> np.ndarray:
@@ -79,7 +81,7 @@ def measured_ratio(results: Results, load_cell: str):
 
 def load_cell_figure(results: Results, data: Data) -> Figure:
     """σᵥ/σᵥ₀ of each load cell against mass drawn, on the same axes (Figs 16 and 18)."""
-    ratio, mass = stress_ratio(results), results.clock
+    ratio, mass = stress_ratio(results), results.drawn
     low, high = np.quantile(ratio, [0.05, 0.95], axis=0)
     mean = ratio.mean(axis=0)
     others = {
@@ -91,14 +93,15 @@ def load_cell_figure(results: Results, data: Data) -> Figure:
     tops = [high, *others.values(), *(v + e for _, v, e in measured.values())]
     top = max(np.nanmax(values) for values in tops if np.isfinite(values).any())
     panels = []
-    for i, cell in enumerate(results.load_cells):
+    for i in results.shown_load_cells:
+        cell = results.load_cells[i]
         known = mean[np.isfinite(mean[:, i]), i]
         extremes = f"from {known.min():.2f} to {known.max():.2f}" if len(known) else "no ground"
         panel = Panel(
             data,
             "load_cells",
             f"Load cell {cell.name}",
-            MASS,
+            mass_words(results),
             RATIO,
             f"Load cell {cell.name}: simulated stress over that before draw, {extremes}.",
             (2.05, 1.6),
@@ -109,25 +112,109 @@ def load_cell_figure(results: Results, data: Data) -> Figure:
                 panel.curve(words, mass, others[suffix][:, i], color=color, dash=dash)
         panel.curve("model, mean", mass, mean[:, i], low[:, i], high[:, i], band=BAND)
         readings, values, errors = measured[cell.name]
-        panel_x = [r["mass_drawn"] or 0.0 for r in readings]
+        panel_x = [results.mass_unit[0] * (r["mass_drawn"] or 0.0) for r in readings]
         measured_points(panel, results, readings, panel_x, values, values - errors, values + errors)
         panel.axes.set(ylim=(0, 1.08 * top), xlim=(-0.02 * mass[-1], 1.02 * mass[-1]))
         panels.append(panel)
     caption = parts(
         "Vertical stress on each load cell over that before draw; all panels have the same axes. "
-        "n = {} replicates. {}",
+        "n = {} replicates. {}{}",
         data.number("load_cells", "", "replicates", results.count),
         f"Points, {results.label} data: stress over the reading before draw, bars are ± 1 sd of "
         "the readings' independent error."
         if any(len(v) for _, v, _ in measured.values())
         else "No load cell was measured.",
+        results.words_of_shown,
     )
     return Figure("load_cells", "Stress on the load cells during draw", caption, panels)
 
 
+def base_map_figure(results: Results, data: Data) -> Figure:
+    """Mean stress on each load cell in plan, reading by reading, from `base_stress.csv`."""
+    experiment, rows = results.experiment, results.base_stress
+    high = max(float(row["mean_mpa"]) for row in rows if row["mean_mpa"])
+    extent = (experiment.geometry.width, experiment.geometry.length)
+    panels = []
+    for t in evenly(len(results.clock), MOST_MAPS):
+        values = [float(row["mean_mpa"] or "nan") for row in rows if int(row["reading"]) == t]
+        panels.append(
+            plan(
+                data,
+                "base_map",
+                mass_drawn_words(results, t) if t else "Before draw",
+                extent,
+                areas_of(results.load_cells),
+                np.array(values),
+                "mean stress (MPa)",
+                (0.0, high),
+                areas_of(experiment.drawpoints),
+                "mean stress",
+            )
+        )
+    caption = parts(
+        "Simulated mean stress on each load cell at the base, n = {} replicates; all maps have "
+        "the same scale. Squares are drawpoints{}.",
+        data.number("base_map", "", "replicates", results.count),
+        assumed_words(results),
+    )
+    return Figure("base_map", "Base stress in plan, period by period", caption, panels)
+
+
+def base_stress_table(results: Results, data: Data) -> Table:
+    """Stress on each load cell at each reading, from `base_stress.csv`."""
+    factor, unit = results.mass_unit
+    statistics = {"mean": "mean", "p10": "P10", "p50": "P50", "p90": "P90"}
+    table = Table(
+        "base_stress",
+        parts(
+            "Base stress of each load cell and period: simulated mean and percentiles over {} "
+            "replicates at the end of the period. The same is in base_stress.csv.",
+            data.number("base_stress", "", "replicates", results.count),
+        ),
+        [
+            "Load cell, period",
+            f"Drawn ({unit})",
+            *(f"Stress (kPa): {words}" for words in statistics.values()),
+            *(f"Stress (MPa): {words}" for words in statistics.values()),
+        ],
+        data,
+    )
+    for row in results.base_stress:
+        numbers = [(factor * float(row["mass_drawn_kg"]), None)]
+        for scale, decimals in (("kpa", 1), ("mpa", 4)):
+            values = (row[f"{name}_{scale}"] for name in statistics)
+            numbers += [(float(value) if value else None, decimals) for value in values]
+        period = f"period {row['reading']}" if row["reading"] != "0" else "before draw"
+        table.add_numbers(f"{row['load_cell']}, {period}", numbers)
+    return table
+
+
+def mass_words(results: Results) -> str:
+    """Name of an axis of the mass drawn."""
+    return f"mass drawn ({results.mass_unit[1]})"
+
+
+def mass_drawn_words(results: Results, t: int) -> str:
+    """What is drawn at a reading."""
+    return f"{results.drawn[t]:.4g} {results.mass_unit[1]} drawn"
+
+
+def areas_of(areas) -> list[Area]:
+    """Drawpoints or load cells as a plan takes them."""
+    return [(area.name, area.x, area.y, area.width, area.length) for area in areas]
+
+
+def assumed_words(results: Results) -> str:
+    """In brackets, which of drawpoints and load cells are assumed; empty where none is."""
+    assumed = [key for key in ("drawpoints", "load_cells") if key in results.experiment.assumed]
+    if not assumed:
+        return ""
+    return f" (assumed, not from the source: {' and '.join(assumed).replace('_', ' ')})"
+
+
 def load_cell_table(results: Results, data: Data) -> Table:
     """Largest and smallest σᵥ/σᵥ₀ of each load cell."""
-    mean, mass = stress_ratio(results).mean(axis=0), results.clock
+    mean, mass, unit = stress_ratio(results).mean(axis=0), results.drawn, results.mass_unit[1]
     table = Table(
         "load_cell_extremes",
         parts(
@@ -139,9 +226,9 @@ def load_cell_table(results: Results, data: Data) -> Table:
             "Load cell",
             "Stress before draw (kPa)",
             "Model: largest",
-            "Model: at mass (kg)",
+            f"Model: at mass ({unit})",
             "Model: smallest",
-            "Model: at mass (kg) ",
+            f"Model: at mass ({unit}) ",
             f"Data, {results.label}: largest",
             f"Data, {results.label}: smallest",
         ],
@@ -212,7 +299,7 @@ def zone_section_figure(results: Results, data: Data) -> Figure:
 
 def _section_panel(results: Results, data: Data, figure: str, t: int, words: str) -> Panel:
     x, z = results.fields["x"].values, results.fields["z"].values
-    mass = f"{results.clock[t]:.4g} kg drawn"
+    mass = mass_drawn_words(results, t)
     return Panel(
         data,
         figure,
@@ -233,22 +320,19 @@ def _mark_base(panel: Panel, results: Results) -> None:
 
 def _section_caption(results: Results, data: Data, figure: str, words: str):
     y = float(results.fields["y"].values[results.section_row])
-    assumed = [key for key in ("drawpoints", "load_cells") if key in results.experiment.assumed]
     return parts(
         "{}, x–z section at y = {} m, n = {} replicates. Bars under the base mark drawpoints and "
         "load cells{}.",
         words,
         data.number(figure, "", "y", y, unit="m"),
         data.number(figure, "", "replicates", results.count),
-        f" (assumed, not from the source: {' and '.join(assumed).replace('_', ' ')})"
-        if assumed
-        else "",
+        assumed_words(results),
     )
 
 
 def movement_zone_figure(results: Results, data: Data) -> Figure:
     """Height and width of the movement zone against mass drawn (Fig. 11)."""
-    mass, panels = results.clock, []
+    mass, panels = results.drawn, []
     for part in ("height", "width"):
         name = f"movement_zone_{part}"
         mean, low, high = (
@@ -258,16 +342,17 @@ def movement_zone_figure(results: Results, data: Data) -> Figure:
             data,
             "movement_zone",
             part.capitalize(),
-            MASS,
+            mass_words(results),
             f"{part} of the movement zone (m)",
-            f"The movement zone's {part} reaches {mean[-1]:.3g} m at {mass[-1]:.4g} kg.",
+            f"The movement zone's {part} reaches {mean[-1]:.3g} m at {mass[-1]:.4g} "
+            f"{results.mass_unit[1]}.",
             (3.3, 2.2),
         )
         limit = getattr(results.experiment.geometry, part)
         panel.reference(f"{part} of the model", y=limit, dash="dotted")
         panel.curve("model, mean", mass, mean, low, high, band=BAND)
         readings = results.readings(name)
-        x = [r["mass_drawn"] or 0.0 for r in readings]
+        x = [results.mass_unit[0] * (r["mass_drawn"] or 0.0) for r in readings]
         measured_points(panel, results, readings, x, [r["measured"] for r in readings])
         panel.axes.set(ylim=(0, 1.08 * limit), xlim=(-0.02 * mass[-1], 1.02 * mass[-1]))
         panels.append(panel)
@@ -353,6 +438,7 @@ def drawpoint_table(results: Results, data: Data) -> Table:
     """Scheduled and drawn mass of each drawpoint, its shortfall, and hang-ups."""
     experiment, statistics = results.experiment, results.statistics
     hang_ups = float(results.replicates["hang_ups"].mean())
+    factor, unit = results.mass_unit
     table = Table(
         "drawpoints",
         parts(
@@ -363,11 +449,11 @@ def drawpoint_table(results: Results, data: Data) -> Table:
         ),
         [
             "Drawpoint",
-            "Scheduled (kg)",
-            "Drawn (kg)",
-            "sd between replicates (kg)",
+            f"Scheduled ({unit})",
+            f"Drawn ({unit})",
+            f"sd between replicates ({unit})",
             "Share of schedule",
-            "Shortfall (kg)",
+            f"Shortfall ({unit})",
         ],
         data,
     )
@@ -381,6 +467,7 @@ def drawpoint_table(results: Results, data: Data) -> Table:
     each = np.diff(total, axis=1, prepend=0.0)
     drawn = np.array([np.where(which == i, each, 0.0).sum(axis=1) for i in range(len(scheduled))])
     shortfall = statistics["drawpoint_shortfall_mean"].values
+    scheduled, drawn, shortfall = factor * scheduled, factor * drawn, factor * shortfall
     for i, point in enumerate(experiment.drawpoints):
         spread = drawn[i].std(ddof=1) if results.count > 1 else None
         decimals = decimals_of(scheduled[i] or 1.0)

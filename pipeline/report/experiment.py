@@ -543,14 +543,15 @@ def schedule_table(results: Results, data: Data) -> Table | None:
     """The draw schedule; None for a static experiment."""
     if not results.experiment.is_draw:
         return None
-    columns = ["Line", "mass (kg)", "increment (kg)", "Drawpoints, in turn"]
+    factor, unit = results.mass_unit
+    columns = ["Line", f"mass ({unit})", f"increment ({unit})", "Drawpoints, in turn"]
     table = Table("schedule", "Draw schedule, line after line.", columns, data)
     for i, line in enumerate(results.experiment.draw, start=1):
         table.rows.append(
             [
                 table.number(f"line {i}", "line", i),
-                table.number(f"line {i}", "mass (kg)", line.mass),
-                table.number(f"line {i}", "increment (kg)", line.increment),
+                table.number(f"line {i}", columns[1], factor * line.mass),
+                table.number(f"line {i}", columns[2], factor * line.increment),
                 ", ".join(line.drawpoints),
             ]
         )

@@ -16,6 +16,7 @@ import numpy as np
 from markupsafe import Markup, escape
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as MplFigure
+from matplotlib.patches import Rectangle
 
 from pipeline.report.page import Data
 
@@ -33,6 +34,7 @@ _VARIABLES = {
 }
 DASHES = {"solid": "", "dashed": "5 3", "dotted": "1.5 2.5", "dashdot": "6 2 1.5 2"}
 STRESS_COLORS, SPREAD_COLORS, SHARE_COLORS = "viridis", "cividis", "cividis"
+DIFFERENCE_COLORS = "RdBu_r"  # from the negative to the positive of a scale about 0
 PIXELS_PER_INCH = 96
 MOST_PIXELS = 20_000  # an image with more cells is shown in block means
 _STYLE = {
@@ -239,6 +241,32 @@ class Panel:
         )
         self.axes.grid(False)
         self.color_bar(name, low, high, colors)
+
+    def shaded_areas(self, areas, values, name, low, high, colors=STRESS_COLORS) -> None:
+        """Rectangles of a plan filled by `values` on the scale from `low` to `high`, `name`.
+
+        `areas` are (name, x, y, width, length), m; NaN stays blank. A color bar stands beside.
+        """
+        colormap, span = matplotlib.colormaps[colors], (high - low) or 1.0
+        for (area, x, y, width, length), value in zip(areas, values, strict=True):
+            self._data.add(self._figure, self.title, area, self._x, [x], name, [value])
+            fill = colormap((value - low) / span) if np.isfinite(value) else "none"
+            self.axes.add_patch(
+                Rectangle((x - width / 2, y - length / 2), width, length, facecolor=fill)
+            )
+        self.axes.grid(False)
+        self.color_bar(name, low, high, colors)
+
+    def outlined_areas(self, label, areas, color=INK) -> None:
+        """Outlines of the rectangles of a plan, (name, x, y, width, length) in m."""
+        for area, x, y, width, length in areas:
+            self._data.add(self._figure, self.title, label, self._x, [x], f"y of {area} (m)", [y])
+            corner = (x - width / 2, y - length / 2)
+            self.axes.add_patch(
+                Rectangle(corner, width, length, fill=False, edgecolor=color, linewidth=0.7)
+            )
+        stroke = f'stroke="var(--{_VARIABLES[color]})"'
+        self.legend[label] = _swatch(f'<rect x="8" y="1" width="10" height="10" {stroke}/>')
 
     def color_bar(self, name, low, high, colors=STRESS_COLORS) -> None:
         """The scale of an image or of shaded points, at the right."""

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.compare.comparison import SIDES
 from pipeline.config.experiment import Experiment
 from pipeline.files.atomic import read_json, write_json, write_text
 from pipeline.report.figures import BLUE, GREEN, MARKERS, ORANGE, Panel, panel_style
@@ -91,13 +92,14 @@ def write_index(
     page: str | Path,
     numbers: str | Path,
     studies: Mapping[str, str | Path] | None = None,
+    comparisons: Iterable[str | Path] = (),
 ) -> None:
     """Write the index page and `index.json`, which holds every number on it.
 
     The first four are in the same order: experiments, their `calibration.json`,
     `validation.json` and `report.html`. `flow_law` is the figure of the flow kernel's own check,
     with its numbers beside it; the page shows it. `studies` are their `closed_loop.json` by name,
-    each beside its `report.html`.
+    each beside its `report.html`; `comparisons` are `comparison.json`, likewise.
     """
     folder = Path(page).parent
     entries = [
@@ -115,15 +117,22 @@ def write_index(
         read_json(path) | {"link": _link(Path(path).with_name("report.html"), folder)}
         for path in (studies or {}).values()
     ]
+    compared = [
+        read_json(path) | {"link": _link(Path(path).with_name("report.html"), folder)}
+        for path in comparisons
+    ]
     data = Data()
     with panel_style():
-        html = index_page(entries, closed, data, Path(numbers).name, _link(flow_law, folder))
+        html = index_page(
+            entries, closed, compared, data, Path(numbers).name, _link(flow_law, folder)
+        )
     write_json(
         numbers,
         {
             "schema_version": "1.0",
             "experiments": [summary(entry) for entry in entries],
             "studies": [study_summary(found) for found in closed],
+            "comparisons": [comparison_summary(found) for found in compared],
             "data": data.to_records(),
         },
     )
@@ -166,6 +175,17 @@ def study_summary(found: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def comparison_summary(found: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page says of a comparison, for scripts."""
+    return {
+        "comparison": found["comparison"],
+        "title": found["title"],
+        "experiments": [one["experiment"] for one in found["experiments"]],
+        "report": found["link"],
+        "threshold_mpa": found["threshold_mpa"],
+    }
+
+
 def _names_added(found: Mapping[str, Any]) -> list[str]:
     return list(dict.fromkeys(entry["name"] for entry in found["effects_added"]))
 
@@ -177,12 +197,15 @@ def _link(path: str | Path, folder: Path) -> str:
 def index_page(
     entries: Sequence[Entry],
     studies: Sequence[Mapping[str, Any]],
+    comparisons: Sequence[Mapping[str, Any]],
     data: Data,
     numbers: str,
     flow_law: str,
 ) -> str:
-    """HTML of the index; `studies` are their closed_loop.json with a `link` to their page.
+    """HTML of the index.
 
+    `studies` and `comparisons` are their closed_loop.json and comparison.json with a `link` to
+    their page.
     `numbers` and `flow_law` are links from it to these files.
     """
     static = [entry for entry in entries if not entry.experiment.is_draw]
@@ -206,6 +229,7 @@ def index_page(
         static=static_table(static, data) if static else None,
         draw=draw_table(draw, data) if draw else None,
         studies=study_table(studies, data) if studies else None,
+        comparisons=comparison_table(comparisons, data) if comparisons else None,
         transmission=transmission_table(own_E, data) if own_E else None,
         figures=[figure for figure in figures if figure],
         numbers=numbers,
@@ -352,6 +376,38 @@ def study_table(studies: Sequence[Mapping[str, Any]], data: Data) -> Table:
             ]
         )
     return table.without_empty_columns()
+
+
+def comparison_table(comparisons: Sequence[Mapping[str, Any]], data: Data) -> Table:
+    """Comparisons of two experiments: the threshold, and the base's peak and time above it."""
+    table = Table(
+        "comparisons",
+        "Two draw experiments beside each other, simulated: mean stress on the whole base, its "
+        "peak among the readings and the share of time (as mass drawn) above a threshold.",
+        [
+            "Comparison",
+            "Title",
+            "Experiments",
+            "Threshold (MPa)",
+            *(f"{head}: {side}" for head in ("Peak (MPa)", "Above (%)") for side in SIDES),
+        ],
+        data,
+    )
+    for found in comparisons:
+        name, base = found["comparison"], found["base"]
+        numbers = [(found["threshold_mpa"], None)]
+        numbers += [(base[side]["peak_mpa"], None) for side in SIDES]
+        numbers += [(100 * base[side]["share_above"], 1) for side in SIDES]
+        cells = zip(table.columns[3:], numbers, strict=True)
+        table.rows.append(
+            [
+                Link(name, found["link"]),
+                found["title"],
+                " and ".join(one["experiment"] for one in found["experiments"]),
+                *(table.number(name, column, *number) for column, number in cells),
+            ]
+        )
+    return table
 
 
 def _run_columns(head: str) -> list[str]:

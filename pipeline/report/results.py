@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import csv
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,13 +19,20 @@ from pipeline.files.atomic import read_json
 from pipeline.lattice.block_model import lattice_of
 from pipeline.lattice.grid import Lattice
 from pipeline.parameters import Parameters
+from pipeline.report.plan_figures import evenly, mass_unit
 from pipeline.simulate import load_cells
 from pipeline.validate.validation import CALIBRATED
+
+MANY_LOAD_CELLS = 12  # beyond them a map and a table stand for a panel of each
+MOST_PANELS = 7  # of single load cells, where there are many
 
 
 @dataclass(frozen=True)
 class Results:
-    """What the rules before the report wrote; the datasets read from disk what is asked for."""
+    """What the rules before the report wrote; the datasets read from disk what is asked for.
+
+    `base_stress` holds the rows of `base_stress.csv`.
+    """
 
     experiment: Experiment
     calibration: Mapping[str, Any]
@@ -32,6 +40,7 @@ class Results:
     replicates: xr.Dataset
     statistics: xr.Dataset
     fields: xr.Dataset
+    base_stress: Sequence[Mapping[str, str]]
 
     @property
     def lattice(self) -> Lattice:
@@ -42,6 +51,27 @@ class Results:
     def load_cells(self) -> tuple[LoadCell, ...]:
         """The load cells in the order of the files."""
         return load_cells(self.experiment)
+
+    @property
+    def has_many_load_cells(self) -> bool:
+        """Whether they are too many for a panel each, as the pillars of a mine are."""
+        return len(self.load_cells) > MANY_LOAD_CELLS
+
+    @property
+    def shown_load_cells(self) -> list[int]:
+        """Indices of the load cells that get a panel each: all, or a few where they are many."""
+        count = len(self.load_cells)
+        return evenly(count, MOST_PANELS if self.has_many_load_cells else count)
+
+    @property
+    def words_of_shown(self) -> str:
+        """What a caption says where not all load cells have a panel; else nothing."""
+        if not self.has_many_load_cells:
+            return ""
+        return (
+            f" Shown are {len(self.shown_load_cells)} of the {len(self.load_cells)} load cells; "
+            "the map of the base has all of them."
+        )
 
     @property
     def parameters(self) -> Parameters:
@@ -67,6 +97,16 @@ class Results:
     def clock(self) -> np.ndarray:
         """Mass drawn (kg), or fill height (m) of a static experiment, at each reading."""
         return self.replicates["mass_drawn" if self.experiment.is_draw else "fill_height"].values
+
+    @property
+    def mass_unit(self) -> tuple[float, str]:
+        """Factor from kg and unit in which the masses of a draw experiment read well."""
+        return mass_unit(self.experiment.mass_scheduled)
+
+    @property
+    def drawn(self) -> np.ndarray:
+        """Mass drawn at each reading, in that unit."""
+        return self.mass_unit[0] * self.clock
 
     @property
     def at_rest(self) -> int:
@@ -104,7 +144,8 @@ def open_results(experiment: Experiment, files: Mapping[str, str | Path]) -> Ite
             for name in ("replicates", "statistics", "fields")
         )
         documents = (read_json(files[name]) for name in ("calibration", "validation"))
-        yield Results(experiment, *documents, *datasets)
+        with open(files["base_stress"], encoding="utf-8", newline="") as table:
+            yield Results(experiment, *documents, *datasets, list(csv.DictReader(table)))
 
 
 QUANTITY_WORDS = {

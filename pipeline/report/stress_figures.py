@@ -111,7 +111,8 @@ def footprint_figure(results: Results, data: Data) -> Figure:
     shares = 100.0 * results.replicates["load_cell_footprint"].values
     x, z = results.fields["x"].values, results.fields["z"].values
     panels = []
-    for cell, share in zip(results.load_cells, shares, strict=True):
+    for i in results.shown_load_cells:
+        cell, share = results.load_cells[i], shares[i]
         high = float(np.nanmax(share))
         panel = Panel(
             data,
@@ -128,8 +129,9 @@ def footprint_figure(results: Results, data: Data) -> Figure:
         panels.append(panel)
     caption = parts(
         "Each place's own weight adds its share to the reading{}; the shares of a load cell add "
-        "up to 100 %. Summed over y, averaged over the first replicates.",
+        "up to 100 %. Summed over y, averaged over the first replicates.{}",
         " before anything is drawn" if results.experiment.is_draw else " when full",
+        results.words_of_shown,
     )
     return Figure("footprints", "Where each load cell's stress comes from", caption, panels)
 

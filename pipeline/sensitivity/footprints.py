@@ -21,6 +21,7 @@ from pipeline.simulate import KPA, FlowRecord, Setup, Sweep, load_cells, simulat
 
 COST_REPEATS = 20
 FOOTPRINT_REPLICATES = 8
+GROUP_CELLS = 2e7  # places times load cells whose influence is held at a time
 
 # called with (sweep, its lattice, influence of the readings at a time); returns the derivatives
 # (reading, channel)
@@ -109,17 +110,47 @@ def load_cell_footprint(setup: Setup, parameters: Parameters) -> xr.DataArray:
     """
     experiment = setup.experiment
     count = min(FOOTPRINT_REPLICATES, experiment.replicates)
-    at = 0 if setup.masses else -1
+    at = 0 if setup.masses else setup.times - 1
+    if setup.masses:
+        setup = replace(setup, masses=setup.masses[:1], to_the_end=False)
     total = 0.0
     for replicate in range(count):
         streams = (
             random_stream(experiment.seed, experiment.name, purpose, replicate)
             for purpose in (PACKING, FLOW)
         )
-        fields = influence_fields(setup, parameters, *streams, at=at)
-        share = fields["weight_influence"] * fields["weight"] / fields["vertical_stress"]
-        total = total + share.sum("y").transpose("load_cell", "z", "x")
-    return (total / count).drop_vars("load_cell").astype(np.float32)
+        found: list[np.ndarray] = []
+
+        def inspect(t: int, sweep: Sweep, state: State, found=found) -> None:
+            if t == at:
+                found.append(_shares(setup, sweep))
+
+        simulate(setup, parameters, *streams, inspect=inspect)
+        total = total + found[0]
+    lattice = setup.lattice
+    levels = total.shape[1]
+    coords = {"z": lattice.centers("z")[:levels], "x": lattice.centers("x")}
+    return xr.DataArray(
+        (total / count).astype(np.float32), dims=("load_cell", "z", "x"), coords=coords
+    )
+
+
+def _shares(setup: Setup, sweep: Sweep) -> np.ndarray:
+    """Share of each load cell's stress in a sweep that places add: (load_cell, z, x), over y.
+
+    Load cells are taken in groups, so that a mine's lattice and its pillars fit into memory.
+    """
+    footprints = setup.footprints * (KPA / setup.lattice.cell_area)
+    weight = sweep.weight.astype(np.float64)
+    group = max(1, int(GROUP_CELLS // weight.size))
+    shares = []
+    for first in range(0, len(footprints), group):
+        readings = footprints[first : first + group]
+        stress = np.tensordot(readings, sweep.base_load, axes=2)
+        with np.errstate(invalid="ignore", divide="ignore"):  # no ground above a load cell
+            share = sweep_influence(readings, sweep).weight * weight / stress[:, None, None, None]
+        shares.append(np.nansum(share, axis=2))
+    return np.concatenate(shares)
 
 
 def row_gradients(

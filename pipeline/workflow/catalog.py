@@ -8,19 +8,32 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
-from pipeline.config.load import check_measured, digest, load_experiments, load_studies, sources
+from pipeline.config.load import (
+    check_measured,
+    digest,
+    load_comparisons,
+    load_experiments,
+    load_studies,
+    sources,
+)
+from pipeline.config.messages import ConfigError
 
 PACKAGE = Path(__file__).parents[1]
 CODE = (".py", ".pyc", ".smk")
-OWN = {"experiments_dir": "workflow_configs/experiments", "studies_dir": "workflow_configs/studies"}
+OWN = {
+    "experiments_dir": "workflow_configs/experiments",
+    "studies_dir": "workflow_configs/studies",
+    "comparisons_dir": "workflow_configs/comparisons",
+}
 SMALL_RUN = 2e7  # cell sweeps that one thread does in a moment
 
 
 class Catalog:
-    """The experiments and studies of a workflow run, read and checked once.
+    """The experiments, studies and comparisons of a workflow run, read and checked once.
 
-    With experiments from another folder there are no studies but those of a folder named with it.
-    With studies from another folder alone, the experiments are those that the studies name.
+    With a folder of one's own the repository's studies and comparisons are left out. With
+    experiments from another folder, studies and comparisons are those of folders named with it;
+    without, the experiments are those that the studies and comparisons of such folders name.
 
     Raises
     ------
@@ -32,13 +45,26 @@ class Catalog:
         self.results = str(config["results_dir"]).rstrip("/")
         own = {key: str(config[key]).rstrip("/") == folder for key, folder in OWN.items()}
         self._known = load_experiments(Path(str(config["experiments_dir"])))
-        self.experiments, self.studies = self._known, {}
-        folder = Path(str(config["studies_dir"]))
-        if own["studies_dir"] and not (own["experiments_dir"] and any(folder.glob("*.y*ml"))):
-            return
-        self.studies = load_studies(folder, self._known)
-        if not own["studies_dir"] and own["experiments_dir"]:
-            named = {name for study in self.studies.values() for name in study.experiments}
+        found: list[tuple[Path, str]] = []
+
+        def load(key, load_folder):
+            folder = Path(str(config[key]))
+            if own[key] and not (all(own.values()) and any(folder.glob("*.y*ml"))):
+                return {}
+            try:
+                return load_folder(folder, self._known)
+            except ConfigError as error:
+                found.extend(error.problems)
+                return {}
+
+        self.studies = load("studies_dir", load_studies)
+        self.comparisons = load("comparisons_dir", load_comparisons)
+        if found:
+            raise ConfigError(found)
+        self.experiments = self._known
+        if own["experiments_dir"] and not all(own.values()):
+            users = [*self.studies.values(), *self.comparisons.values()]
+            named = {name for user in users for name in user.experiments}
             named |= {one.name for name in named for one in sources(self._known[name], self._known)}
             self.experiments = {n: e for n, e in self._known.items() if n in named}
 
@@ -77,6 +103,25 @@ class Catalog:
         parts = [digest(study), *(self.settings(one) for one in self._chain(name))]
         if study.data_path is not None:
             parts.append(hashlib.sha256(study.data_path.read_bytes()).hexdigest())
+        return _sha256("".join(parts))
+
+    def comparison_file(self, name: str) -> str:
+        """Path of the comparison's file."""
+        return str(self.comparisons[name].path)
+
+    def compared_files(self, name: str) -> list[str]:
+        """Files of the two experiments that are compared."""
+        return [self.file(one) for one in self.comparisons[name].experiments]
+
+    def compared_replicates(self, name: str) -> list[str]:
+        """Their `replicates.nc`."""
+        pair = self.comparisons[name].experiments
+        return [f"{self.results}/experiments/{one}/replicates.nc" for one in pair]
+
+    def comparison_settings(self, name: str) -> str:
+        """Digest of what the comparison's file and its experiments' files say."""
+        comparison = self.comparisons[name]
+        parts = [digest(comparison), *(self.settings(one) for one in comparison.experiments)]
         return _sha256("".join(parts))
 
     def _chain(self, name: str) -> list[str]:

@@ -1,6 +1,7 @@
 """Pages of tiny experiments."""
 
 import pytest
+from comparisons import MadeComparison, make_comparison
 from pages import Made, row
 from pages import make_page as make_page_in
 from studies import MadeStudy, closed_loop, make_study
@@ -54,3 +55,22 @@ def draw(drawn, make_page) -> Made:
 def study(tmp_path_factory) -> MadeStudy:
     """A study that found an effect."""
     return make_study(tmp_path_factory.mktemp("study"), closed_loop())
+
+
+@pytest.fixture(scope="session")
+def comparison(drawn, tmp_path_factory) -> MadeComparison:
+    """Two draws of the same layout."""
+    pair = drawn("west_first", assumed=["flow", "draw"]), drawn("west_second")
+    return make_comparison(*pair, tmp_path_factory.mktemp("comparison"), title="Two strategies")
+
+
+@pytest.fixture(scope="session")
+def pillars(drawn, make_page) -> Made:
+    """A draw experiment with as many load cells as a mine has pillars."""
+    side = {"width": 0.04, "length": 0.04}
+    cells = [
+        {"name": f"P{row}-{i}", "x": 0.05 + 0.1 * i, "y": 0.1 + 0.15 * row, **side}
+        for row in range(3)
+        for i in range(6)
+    ]
+    return make_page(drawn("pillars", load_cells=cells, assumed=["load_cells"], replicates=3))

@@ -1,5 +1,6 @@
 """Pages of a static and of a draw experiment, and of experiments that lack things."""
 
+import csv
 import re
 
 import numpy as np
@@ -245,3 +246,28 @@ def test_assumed_keys_match_by_whole_parts(column, assumed, key, flagged):
 )
 def test_the_verdict_allows_one_value_in_twenty(count, within, agrees):
     assert Agreement(count, within, 3.0).agrees is agrees
+
+
+def test_many_load_cells_get_a_map_and_a_table_by_period(pillars):
+    html = pillars.html
+    assert 'id="figure-base_map"' in html
+    table = html.split('id="table-base_stress"')[1].split("</table>")[0]
+    assert table.count("<tr>") == 2 + 18 * 4
+    with open(pillars.inputs["base_stress"], encoding="utf-8", newline="") as file:
+        stored = [float(row["p90_kpa"]) for row in csv.DictReader(file)]
+    shown = [
+        float(row["y"])
+        for row in pillars.rows
+        if (row["figure"], row["series"]) == ("base_stress", "Stress (kPa): P90")
+    ]
+    assert shown == stored
+    panels = {
+        row["panel"] for row in pillars.rows if row["figure"] == "load_cells" and row["panel"]
+    }
+    assert len(panels) == 7
+    assert "Shown are 7 of the 18 load cells" in html
+
+
+def test_few_load_cells_keep_a_panel_each(draw):
+    assert "base_map" not in draw.html
+    assert "Shown are" not in draw.html

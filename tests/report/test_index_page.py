@@ -13,14 +13,21 @@ from pipeline.report.index import write_index
 def index(tmp_path):
     """index(made, ...): HTML and JSON of an index of these experiments."""
 
-    def make(*made):
+    def make(*made, comparisons=()):
         def files(name):
             return [entry.folder / name for entry in made]
 
         page, numbers = tmp_path / "index.html", tmp_path / "index.json"
         documents = (files(name) for name in ("calibration.json", "validation.json", "report.html"))
         law = tmp_path / "flow_law" / "flow_law.svg"
-        write_index([entry.experiment for entry in made], *documents, law, page, numbers)
+        write_index(
+            [entry.experiment for entry in made],
+            *documents,
+            law,
+            page,
+            numbers,
+            comparisons=[entry.folder / "comparison.json" for entry in comparisons],
+        )
         return page.read_text("utf-8"), read_json(numbers)
 
     return make
@@ -80,3 +87,14 @@ def test_errors_tell_fitted_values_from_others(index, static, draw):
 
 def test_the_same_results_give_the_same_bytes(index, static, draw):
     assert index(static, draw) == index(static, draw)
+
+
+def test_comparisons_are_linked_with_peak_and_time_above(index, static, comparison, tmp_path):
+    html, numbers = index(static, comparisons=[comparison])
+    (entry,) = numbers["comparisons"]
+    assert (tmp_path / entry["report"]).samefile(comparison.folder / "report.html")
+    assert f'href="{entry["report"]}"' in html
+    assert entry["experiments"] == ["west_first", "west_second"]
+    shown = {row["series"]: row["y"] for row in numbers["data"] if row["figure"] == "comparisons"}
+    assert shown["Peak (MPa): first"] == pytest.approx(0.5)
+    assert shown["Above (%): second"] == pytest.approx(100 * (200 / 250) / 3, rel=1e-3)

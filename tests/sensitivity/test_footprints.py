@@ -9,6 +9,7 @@ from pipeline.effects import Active
 from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.parameters import declared_parameters
+from pipeline.sensitivity import footprints
 from pipeline.sensitivity.footprints import gradient_cost, influence_fields
 from pipeline.simulate import make_setup, simulate
 
@@ -77,3 +78,22 @@ def test_cost_of_a_gradient_is_measured_against_a_forward_sweep(column):
     cost = gradient_cost(setup, declared_parameters(experiment), streams()[0], repeats=2)
     assert cost["cells"] == 10 * 4 * 5
     assert cost["ratio"] == cost["gradient"] / cost["forward"] > 0
+
+
+@pytest.mark.parametrize("cells", [1.0, 1e9])
+def test_footprints_are_the_same_load_cell_by_load_cell_or_all_at_once(drawn, monkeypatch, cells):
+    experiment = drawn(replicates=2)
+    setup = make_setup(experiment, build_block_model(experiment))
+    parameters = declared_parameters(experiment)
+    expected = 0.0
+    for replicate in range(2):
+        random = (
+            random_stream(experiment.seed, experiment.name, purpose, replicate)
+            for purpose in (PACKING, FLOW)
+        )
+        fields = influence_fields(setup, parameters, *random, at=0)
+        share = fields["weight_influence"] * fields["weight"] / fields["vertical_stress"]
+        expected = expected + share.sum("y").transpose("load_cell", "z", "x").values
+    monkeypatch.setattr(footprints, "GROUP_CELLS", cells)
+    found = footprints.load_cell_footprint(setup, parameters)
+    np.testing.assert_array_equal(found, (expected / 2).astype(np.float32))

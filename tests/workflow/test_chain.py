@@ -17,6 +17,7 @@ FILES = {
     "replicates.nc",
     "fields.nc",
     "statistics.nc",
+    "base_stress.csv",
     "validation.json",
 }
 

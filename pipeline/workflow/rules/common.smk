@@ -23,3 +23,4 @@ pathvars:
 wildcard_constraints:
     experiment="|".join(CATALOG.experiments),
     study="|".join(CATALOG.studies) or "there is no study",
+    comparison="|".join(CATALOG.comparisons) or "there is no comparison",

@@ -64,6 +64,7 @@ rule aggregate:
         replicates=rules.replicates.output.replicates,
     output:
         statistics="<results>/experiments/{experiment}/statistics.nc",
+        base_stress="<results>/experiments/{experiment}/base_stress.csv",
     log:
         "<results>/logs/experiments/{experiment}/aggregate.log",
     params:
@@ -101,6 +102,7 @@ rule report:
         replicates=rules.replicates.output.replicates,
         fields=rules.replicates.output.fields,
         statistics=rules.aggregate.output.statistics,
+        base_stress=rules.aggregate.output.base_stress,
         validation=rules.validate.output.validation,
     output:
         report="<results>/experiments/{experiment}/report.html",

@@ -12,6 +12,10 @@ rule index:
         reports=expand(rules.report.output.report, experiment=CATALOG.experiments),
         studies=expand(rules.close_loop.output.closed_loop, study=CATALOG.studies),
         study_reports=expand(rules.study_report.output.report, study=CATALOG.studies),
+        comparisons=expand(rules.compare.output.numbers, comparison=CATALOG.comparisons),
+        comparison_reports=expand(
+            rules.comparison_report.output.report, comparison=CATALOG.comparisons
+        ),
         flow_law=rules.flow_law.output.figure,
     output:
         index="<results>/index.html",

@@ -1,6 +1,7 @@
 """Rule calibrate: measured rows to `calibration.json`."""
 
 from pipeline.calibrate.calibration import calibrate
+from pipeline.calibrate.carried import carried_statements
 from pipeline.config.load import check_measured, load_experiment
 from pipeline.files.atomic import read_json, write_json
 from pipeline.files.netcdf import read_dataset
@@ -19,7 +20,7 @@ declared = declared_parameters(
     {s["experiment"]: Parameters.from_document(s["parameters_used"]) for s in sources},
 )
 execution = Execution(snakemake.threads, snakemake.resources.dask_scheduler)
-write_json(
-    snakemake.output.calibration,
-    calibrate(experiment, setup, declared, rows, execution),
-)
+document = calibrate(experiment, setup, declared, rows, execution)
+for source in sources:
+    document["messages"] += carried_statements(experiment, source, declared)
+write_json(snakemake.output.calibration, document)

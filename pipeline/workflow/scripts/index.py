@@ -14,4 +14,5 @@ write_index(
     snakemake.output.index,
     snakemake.output.numbers,
     dict(zip(snakemake.params.studies, snakemake.input.studies, strict=True)),
+    snakemake.input.comparisons,
 )
