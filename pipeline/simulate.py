@@ -226,7 +226,7 @@ def make_setup(
         footprints=footprints,
         fill_levels=levels,
         masses=reading_masses(experiment, rows) if experiment.is_draw else (),
-        openings=tuple(_openings(experiment, lattice, code)),
+        openings=tuple(_openings(experiment, lattice, code)) if experiment.is_draw else (),
         visits=(np.array(drawpoints, dtype=np.int64), np.array(ends, dtype=np.float64)),
         true_levels=true_levels,
         effects=active,

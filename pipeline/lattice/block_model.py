@@ -63,7 +63,7 @@ def build_block_model(experiment: Experiment) -> xr.Dataset:
 def cell_codes(block_model: xr.Dataset) -> np.ndarray:
     """Kernel cell codes (z, y, x) int8 of a block model before draw."""
     outside = block_model["state"].values == STATE_OUTSIDE
-    return np.where(outside, OUTSIDE, STAGNANT).astype(np.int8)
+    return np.where(outside, OUTSIDE, STAGNANT)
 
 
 def ground_mask(experiment: Experiment, lattice: Lattice) -> np.ndarray:
