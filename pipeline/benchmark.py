@@ -39,6 +39,7 @@ from pipeline.lattice.flow import (
     climb_chances,
     draw_to,
     draw_visits,
+    flow_index,
     new_flow_state,
 )
 from pipeline.lattice.grid import GRAVITY
@@ -343,17 +344,16 @@ def reference_figures(side: int, repeats: int) -> Iterator[Figure]:
     yield from _figures(measure(actions, repeats), next(iter(actions)), **about)
 
     middle = side // 2
-    undisturbed = new_flow_state(code, [[(0, middle, middle)]])
-    mass, cells = np.ones(code.size), min(20, side)
+    weight, cells = np.full(code.size, GRAVITY), min(20, side)  # cells of 1 kg
     chances = climb_chances(EXPONENT)
 
     def afresh():
-        return FlowState(*(part.copy() for part in undisturbed)), np.random.default_rng(1)
+        return new_flow_state(code, [[(0, middle, middle)]]), np.random.default_rng(1)
 
     def drawn_by(draw, law):
         def run(prepared):
             state, stream = prepared
-            draw(state, mass, 0, float(cells), law, BULKING, stream)
+            draw(state, weight, 0, float(cells), law, BULKING, stream)
             return state.counters[VOID_STEPS]
 
         return Action(run, afresh)
@@ -396,17 +396,17 @@ def flow_figures(side: int, repeats: int) -> Iterator[Figure]:
     new ground zones grow from the drawpoints, draw by draw. Draw goes on from repeat to repeat.
     """
     setup = _setup(cube(side, drawn=True))
-    new, points = setup.undisturbed, len(setup.experiment.drawpoints)
-    mass = setup.cell_weight.astype(np.float64) / GRAVITY
+    weight, points = setup.cell_weight, len(setup.openings)
+    mass = float(weight[0]) / GRAVITY
     chances, rng = climb_chances(EXPONENT), np.random.default_rng(1)
 
     def drawing(state, order, cells):
         def run(_):
             drawn, before = state.counters[[DRAWN_CELLS, VOID_STEPS]]
             start = state.drawn_mass[drawn - 1] if drawn else 0.0
-            ends = start + cells * mass[0] * np.arange(1, len(order) + 1)
+            ends = start + cells * mass * np.arange(1, len(order) + 1)
             lacking = np.zeros(points)
-            draw_visits(state, mass, order, ends, 0.0, lacking, chances, BULKING, rng)
+            draw_visits(state, weight, order, ends, 0.0, lacking, chances, BULKING, rng)
             return state.counters[VOID_STEPS] - before
 
         return Action(run)
@@ -419,7 +419,7 @@ def flow_figures(side: int, repeats: int) -> Iterator[Figure]:
         position = np.uint64(random_reads(values, READS, position))
         return READS
 
-    moving = _all_loosened(new)
+    new, moving = new_flow_state(setup.code, setup.openings), _all_loosened(setup)
     in_turn, cells = np.arange(points), min(CELLS_A_VISIT, side)
     elsewhere = np.cumsum(rng.integers(1, points, points * cells)) % points
     actions = {
@@ -441,15 +441,15 @@ def flow_figures(side: int, repeats: int) -> Iterator[Figure]:
     )
 
 
-def _all_loosened(new: FlowState) -> FlowState:
-    """A copy in which all ground belongs to one movement zone."""
-    state = FlowState(*(part.copy() for part in new))
+def _all_loosened(setup: Setup) -> FlowState:
+    """The flow's state when all ground belongs to one movement zone."""
+    state = new_flow_state(setup.code, setup.openings)
     state.code[:] = MOVEMENT
     state.zone[:] = 0
     state.zone_root[:] = 0
     state.level_min_x[0], state.level_max_x[0] = 0, state.code.shape[2] - 1
     state.counters[LOOSENED_CELLS] = state.code.size
-    return state
+    return state._replace(index=flow_index(state.code, state.zone, state.zone_root))
 
 
 def laboratory_figures(repeats: int) -> Iterator[Figure]:

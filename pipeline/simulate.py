@@ -29,7 +29,6 @@ from pipeline.lattice.cells import OUTSIDE, STAGNANT
 from pipeline.lattice.flow import (
     DRAWN_CELLS,
     HANG_UPS,
-    FlowState,
     climb_chances,
     draw_to,
     draw_visits,
@@ -38,8 +37,10 @@ from pipeline.lattice.flow import (
 )
 from pipeline.lattice.grid import GRAVITY, Lattice, levels_of
 from pipeline.lattice.stress import (
+    AT_HOME,
     UNCOUPLED,
     Coupling,
+    Moved,
     place_cells,
     place_zones,
     read_base,
@@ -50,6 +51,7 @@ from pipeline.parameters import Parameters
 
 KPA = 1e-3
 BALANCE_TOLERANCE = 1e-6
+BLOCK = 2**16  # cells that are made at a time: they stay in cache
 
 # called at each reading with (time index, cell codes, cell ids, carried load in N)
 Observer = Callable[[int, np.ndarray, np.ndarray, np.ndarray], None]
@@ -122,7 +124,7 @@ class Setup:
     footprints : (load_cell, y, x) float64, share of each base cell in a load cell's reading
     fill_levels : m, one for each time of a static experiment; empty in a draw experiment
     masses : kg drawn at each time of a draw experiment; empty in a static one
-    undisturbed : the flow's state before draw; None in a static experiment
+    openings : for each drawpoint, the (z, y, x) indices (cell, 3) of its base cells
     visits : (visit) index of the drawpoint and scheduled mass in kg at the visit's end
     to_the_end : whether draw goes on after the last reading, to the schedule's end
     true_levels : m, the heights that `fill_levels` are in truth, where effects say so
@@ -137,7 +139,7 @@ class Setup:
     footprints: np.ndarray
     fill_levels: tuple[float, ...]
     masses: tuple[float, ...]
-    undisturbed: FlowState | None
+    openings: tuple[np.ndarray, ...]
     visits: tuple[np.ndarray, np.ndarray]
     to_the_end: bool = True
     true_levels: tuple[float, ...] = ()
@@ -206,24 +208,25 @@ def make_setup(
     if filled is not experiment:
         block_model = build_block_model(filled)
     code = cell_codes(block_model)
-    density = block_model["bulk_density"].values.astype(np.float64)
+    weight = block_model["bulk_density"].values.astype(np.float64).ravel()
+    weight *= GRAVITY
+    weight *= lattice.cell_volume
     base = (code != OUTSIDE).any(axis=0)
     if experiment.load_cells:
         footprints = np.array([_footprint(lattice, base, cell) for cell in experiment.load_cells])
     else:
         footprints = (base / base.sum())[None]
-    openings = list(_openings(experiment, lattice, code))
     drawpoints, ends = zip(*visits(experiment), strict=True) if experiment.is_draw else ((), ())
     return Setup(
         experiment=experiment,
         lattice=lattice,
         code=code,
-        cell_weight=(density.ravel() * GRAVITY * lattice.cell_volume).astype(dtype),
+        cell_weight=weight.astype(dtype),
         base=base,
         footprints=footprints,
         fill_levels=levels,
         masses=reading_masses(experiment, rows) if experiment.is_draw else (),
-        undisturbed=new_flow_state(code, openings) if experiment.is_draw else None,
+        openings=tuple(_openings(experiment, lattice, code)) if experiment.is_draw else (),
         visits=(np.array(drawpoints, dtype=np.int64), np.array(ends, dtype=np.float64)),
         true_levels=true_levels,
         effects=active,
@@ -274,21 +277,20 @@ def simulate(
 
 def _simulate_filling(setup, parameters, packing, observe, inspect):
     lattice = setup.lattice
-    ground = _Ground(setup, parameters, packing)
-    shape = lattice.shape
-    weight, shed = (a.reshape(shape) for a in (ground.cells.weight, ground.cells.shed_fraction))
-    identity = np.arange(weight.size, dtype=np.int32).reshape(shape)
-    out = _Recorder(setup, ground.negative_share, observe is not None, inspect)
+    out = _Recorder(setup, observe is not None, inspect)
+    ground = _Ground(setup, parameters, packing, out)
+    if observe is not None:
+        identity = np.arange(setup.code.size, dtype=np.int32).reshape(lattice.shape)
     for t, height in enumerate(setup.true_levels):
         levels, fraction = levels_of(height, lattice.cell_size)
         if levels == lattice.nz:  # the top level's density is scaled in the block model already
             fraction = min(fraction / lattice.top_fraction, 1.0)
         code = setup.code[:levels]
-        cells = _Cells(weight[:levels], shed[:levels], ground.edge[:levels], ground.corner[:levels])
         if out.needs_state:
-            state = ground.at_rest(code, cells.with_top(fraction))
-            load = out.sweep(t, *_taken(state, weight.dtype), 1.0, state)
+            state = ground.at_rest(code, fraction)
+            load = out.sweep(t, *_taken(state, ground.dtype), 1.0, state)
         else:
+            cells = _Cells(*(part[:levels] for part in ground.initial))
             load = out.sweep(t, cells, code, parameters.R, UNCOUPLED, fraction)
         if observe is not None:
             observe(t, code, identity[:levels], load)
@@ -296,35 +298,23 @@ def _simulate_filling(setup, parameters, packing, observe, inspect):
 
 
 def _simulate_draw(setup, parameters, packing, flow, observe, inspect):
-    lattice, dtype = setup.lattice, setup.cell_weight.dtype
-    ground = _Ground(setup, parameters, packing)
+    out = _Recorder(setup, observe is not None, inspect)
+    ground = _Ground(setup, parameters, packing, out)
     if not isinstance(flow, FlowRecord):
-        flow = _Flow(setup, parameters, _mass_of(ground.cells), flow)
-    weight, shed = np.zeros(lattice.shape, dtype), np.zeros(lattice.shape, dtype)
-    out = _Recorder(setup, ground.negative_share, observe is not None, inspect)
+        flow = _Flow(setup, parameters, ground.cells.weight, flow)
     readings = out.readings
     readings.movement_zone_height = np.zeros(setup.times)
     readings.movement_zone_width = np.zeros(setup.times)
     readings.replicate_mass_drawn = np.zeros(setup.times)
     for t, now in enumerate(flow):
         ground.redraw(now.moved, now.cell_id, setup.masses[t])
-        shed_zone = parameters.shed_in_zone(now.heights).astype(dtype)
-        place_cells(
-            now.code,
-            now.cell_id,
-            now.zone,
-            ground.cells.weight,
-            ground.cells.shed_fraction,
-            shed_zone,
-            weight,
-            shed,
-        )
-        cells = _Cells(weight, shed, ground.edge, ground.corner)
+        zone_shed = parameters.shed_in_zone(now.heights).astype(ground.dtype).astype(np.float64)
         if out.needs_state:
-            state = ground.in_draw(now, cells)
-            load = out.sweep(t, *_taken(state, dtype), 1.0, state)
+            state = ground.in_draw(now, zone_shed)
+            load = out.sweep(t, *_taken(state, ground.dtype), 1.0, state)
         else:
-            load = out.sweep(t, cells, now.code, parameters.R, UNCOUPLED, 1.0)
+            moved = Moved(now.cell_id, now.zone, zone_shed)
+            load = out.sweep(t, ground.initial, now.code, parameters.R, UNCOUPLED, 1.0, moved=moved)
         readings.movement_zone_height[t] = now.heights.max()
         readings.movement_zone_width[t] = now.widths.max()
         readings.replicate_mass_drawn[t] = now.mass
@@ -346,8 +336,8 @@ def record_flow(
     It hangs on the flow parameters and on the cells' masses alone: not on E, s, R or E_min, nor
     on effects that change no mass.
     """
-    cell_mass = _mass_of(_packing(setup, parameters, packing))
-    flow = _Flow(setup, parameters, cell_mass, flow)
+    cell_weight = _packing(setup, parameters, packing).weight
+    flow = _Flow(setup, parameters, cell_weight, flow)
     copied = tuple(
         Snapshot(*(part.copy() if isinstance(part, np.ndarray) else part for part in now))
         for now in flow
@@ -362,40 +352,39 @@ class _Flow:
     adds to `drawpoint_shortfall` (drawpoint) in kg, and the schedule goes on.
     """
 
-    def __init__(self, setup, parameters, cell_mass, flow):
+    def __init__(self, setup, parameters, cell_weight, flow):
         self._setup, self._parameters = setup, parameters
-        self._cell_mass, self._stream = cell_mass, flow
-        self._state = FlowState(*(part.copy() for part in setup.undisturbed))
+        self._cell_weight, self._stream = cell_weight, flow
+        self._state = new_flow_state(setup.code, setup.openings)
         self._shortfall = np.zeros(len(setup.experiment.drawpoints))
 
     def __iter__(self) -> Iterator[Snapshot]:
-        setup, state, mass = self._setup, self._state, self._cell_mass
+        setup, state, weight = self._setup, self._state, self._cell_weight
         arguments = climb_chances(self._parameters.exponent), self._parameters.bulking, self._stream
         drawpoints, ends = setup.visits
         done, missing = 0, 0.0
         for target in setup.masses:
             here = int(np.searchsorted(ends, target))  # the visit during which it is read
             visited = drawpoints[done:here], ends[done:here]
-            missing = draw_visits(state, mass, *visited, missing, self._shortfall, *arguments)
+            missing = draw_visits(state, weight, *visited, missing, self._shortfall, *arguments)
             if here < len(ends):
-                draw_to(state, mass, int(drawpoints[here]), target - missing, *arguments)
+                draw_to(state, weight, int(drawpoints[here]), target - missing, *arguments)
             done = here
             yield self._snapshot()
+            state.moved[:] = False
         if setup.to_the_end:
             visited = drawpoints[done:], ends[done:]
-            draw_visits(state, mass, *visited, missing, self._shortfall, *arguments)
+            draw_visits(state, weight, *visited, missing, self._shortfall, *arguments)
 
     def _snapshot(self) -> Snapshot:
         state = self._state
-        moved = state.moved.copy()
-        state.moved[:] = False
         drawn = state.counters[DRAWN_CELLS]
         return Snapshot(
             state.code,
             state.cell_id,
             state.zone,
             state.zone_root,
-            moved,
+            state.moved,
             *zone_geometry(state, self._setup.lattice.cell_size),
             float(state.drawn_mass[drawn - 1]) if drawn else 0.0,
         )
@@ -445,67 +434,87 @@ def _openings(experiment: Experiment, lattice: Lattice, code: np.ndarray) -> Ite
 
 
 class _Cells(NamedTuple):
-    """What a sweep takes of each cell, (z, y, x)."""
+    """What a sweep takes of each cell, (z, y, x); see `stress.stress_sweep`."""
 
     weight: np.ndarray
     shed_fraction: np.ndarray
     edge: np.ndarray
     corner: np.ndarray
 
-    def with_top(self, fraction: float) -> _Cells:
-        """The same with the top level's weights scaled to its filled fraction."""
-        weight = self.weight.copy()
-        weight[-1] *= fraction
-        return self._replace(weight=weight)
-
 
 class _Ground:
     """One replicate's packing, as effects leave it, and its spreading weights (z, y, x)."""
 
-    def __init__(self, setup: Setup, parameters: Parameters, packing: np.random.Generator):
+    def __init__(
+        self, setup: Setup, parameters: Parameters, packing: np.random.Generator, out: _Recorder
+    ):
         self._setup, self._parameters, self._rng = setup, parameters, packing
-        self._dtype = setup.cell_weight.dtype
+        self.dtype = setup.cell_weight.dtype
         self.cells = _packing(setup, parameters, packing)
-        s = self._draw(setup.code.shape, np.arange(setup.code.size).reshape(setup.code.shape))
-        self.edge, self.corner = spreading_weights(s, self._rule, self._dtype)
-        ground = setup.code == STAGNANT
-        self.negative_share = np.count_nonzero(ground & (s < 0)) / np.count_nonzero(ground)
+        shape = setup.code.shape
+        edge, corner = np.empty(shape, self.dtype), np.empty(shape, self.dtype)
+        granular = negative = 0
+        for levels, places in _blocks(shape):
+            s = self._draw(edge[levels].shape, places)
+            edge[levels], corner[levels] = spreading_weights(s, self._rule, self.dtype)
+            here = setup.code[levels] == STAGNANT
+            granular += np.count_nonzero(here)
+            negative += np.count_nonzero(here & (s < 0))
+        out.readings.negative_s_share = negative / granular
+        shed = self.cells.shed_fraction
+        shed = np.reshape(shed, shape if np.ndim(shed) else (1, 1, 1))
+        self.initial = _Cells(self.cells.weight.reshape(shape), shed, edge, corner)
         self._increments = np.concatenate([[0.0], setup.visits[1]])
         self._drawn = 0.0  # increments so far, and when the cell at each place came
-        self._came = np.zeros(setup.code.shape)
+        self._came = np.zeros(shape) if out.needs_state else None
 
     @property
     def _rule(self) -> str:
         return self._setup.experiment.stress.rule
 
-    def _draw(self, shape, identity):
+    def _draw(self, shape, cells):
+        """s of new cells, whose identities are given as an index."""
         parameters = self._parameters
         s = self._rng.standard_normal(shape, dtype=np.float32)
         s = parameters.s_mean + parameters.s_std * s
         shift = self.cells.s_shift
-        return s if np.ndim(shift) == 0 else s + shift[identity]
+        return s if np.ndim(shift) == 0 else s + shift[cells].reshape(shape)
 
     def redraw(self, moved: np.ndarray, cell_id: np.ndarray, mass: float) -> None:
         """New s where `moved` is set, in array order, after `mass` kg."""
-        places = np.flatnonzero(moved)
-        s = self._draw(len(places), np.maximum(cell_id.flat[places], 0))
-        weights = spreading_weights(s, self._rule, self._dtype)
-        if self.cells.persistence > 0.0:
-            old = self.edge.flat[places], self.corner.flat[places]
-            weights = _mixed(old, weights, self.cells.persistence)
-        self.edge.flat[places], self.corner.flat[places] = weights
         self._drawn = np.interp(mass, self._increments, np.arange(len(self._increments)))
-        self._came.flat[places] = self._drawn
+        for _, block in _blocks(moved.shape):
+            places = np.flatnonzero(moved.ravel()[block])
+            if len(places):
+                self._renew(places + block.start, cell_id)
 
-    def at_rest(self, code: np.ndarray, cells: _Cells) -> State:
+    def _renew(self, places, cell_id):
+        edge, corner = self.initial.edge.ravel(), self.initial.corner.ravel()
+        s = self._draw(places.shape, np.maximum(cell_id.ravel()[places], 0))
+        weights = spreading_weights(s, self._rule, self.dtype)
+        if self.cells.persistence > 0.0:
+            old = edge[places], corner[places]
+            weights = _mixed(old, weights, self.cells.persistence)
+        edge[places], corner[places] = weights
+        if self._came is not None:
+            self._came.flat[places] = self._drawn
+
+    def at_rest(self, code: np.ndarray, top_fraction: float) -> State:
         """The lattice of a filling, through the state effects."""
         nowhere = np.full(code.shape, -1, dtype=np.int16)
-        own = cells.shed_fraction
-        return self._through_effects(code, nowhere, nowhere, np.zeros(0), own, cells)
+        weight, shed, edge, corner = (part[: len(code)] for part in self.initial)
+        weight = weight.copy()
+        weight[-1] *= top_fraction
+        shed = np.broadcast_to(shed, code.shape).copy()
+        cells = _Cells(weight, shed, edge, corner)
+        return self._through_effects(code, nowhere, nowhere, np.zeros(0), shed, cells)
 
-    def in_draw(self, now: Snapshot, cells: _Cells) -> State:
-        """The lattice during draw, through the state effects."""
-        root, own = place_zones(now.cell_id, now.zone, now.zone_root, self.cells.shed_fraction)
+    def in_draw(self, now: Snapshot, zone_shed: np.ndarray) -> State:
+        """The lattice during draw, through the state effects; `zone_shed` (label): 1 − E_min."""
+        moved = Moved(now.cell_id, now.zone, zone_shed)
+        weight, shed, edge, corner = self.initial
+        cells = _Cells(*place_cells(now.code, moved, weight, shed), edge, corner)
+        root, own = place_zones(moved, now.zone_root, shed)
         return self._through_effects(now.code, now.zone, root, now.heights, own, cells)
 
     def _through_effects(self, code, zone, zone_root, heights, own_shed, cells):
@@ -525,15 +534,24 @@ class _Ground:
         return apply(self._setup.effects, "state", state)
 
 
+def _blocks(shape: tuple[int, int, int]) -> Iterator[tuple[slice, slice]]:
+    """Levels and flat places of blocks of whole levels that fit into cache, from the base up."""
+    nz, ny, nx = shape
+    levels = max(1, BLOCK // (ny * nx))
+    for k in range(0, nz, levels):
+        end = min(k + levels, nz)
+        yield slice(k, end), slice(k * ny * nx, end * ny * nx)
+
+
 def _packing(setup: Setup, parameters: Parameters, packing: np.random.Generator) -> Packing:
     """The cells of a replicate, as effects leave them."""
-    weight = setup.cell_weight
+    dtype = setup.cell_weight.dtype
     cells = Packing(
         experiment=setup.experiment,
         lattice=setup.lattice,
-        ground=setup.code.ravel() == STAGNANT,
-        weight=weight,
-        shed_fraction=np.full(weight.shape, 1.0 - parameters.E, dtype=weight.dtype),
+        code=setup.code,
+        weight=setup.cell_weight,
+        shed_fraction=dtype.type(1.0 - parameters.E),
         s_shift=0.0,
         persistence=0.0,
         random=packing,
@@ -541,13 +559,11 @@ def _packing(setup: Setup, parameters: Parameters, packing: np.random.Generator)
     if not setup.acts_on("packing"):
         return cells
     cells = apply(setup.effects, "packing", replace(cells, random=packing.spawn(1)[0]))
-    stored = {n: getattr(cells, n).astype(weight.dtype) for n in ("weight", "shed_fraction")}
-    return replace(cells, **stored)
-
-
-def _mass_of(cells: Packing) -> np.ndarray:
-    """Mass of each cell by its identity, kg."""
-    return cells.weight.astype(np.float64) / GRAVITY
+    return replace(
+        cells,
+        weight=cells.weight.astype(dtype, copy=False),
+        shed_fraction=np.asarray(cells.shed_fraction, dtype),
+    )
 
 
 def _taken(state: State, dtype: type) -> tuple[_Cells, np.ndarray, float, Coupling]:
@@ -573,7 +589,6 @@ class _Recorder:
     """Runs the sweeps of a replicate and keeps what the base reads."""
 
     setup: Setup
-    negative_s_share: float
     keeps_load: bool
     inspect: Inspector | None
     readings: Readings = field(init=False)
@@ -585,7 +600,7 @@ class _Recorder:
             base_vertical_stress=np.zeros(times),
             base_vertical_stress_std=np.zeros(times),
             weight_balance_error=np.zeros(times),
-            negative_s_share=self.negative_s_share,
+            negative_s_share=np.nan,
         )
         if self.setup.experiment.keep_fields:
             shape = (times, *self.setup.lattice.shape)
@@ -602,7 +617,7 @@ class _Recorder:
         readings.vertical_stress = sensed(self.setup, readings.vertical_stress)
         return readings
 
-    def sweep(self, t, cells, code, relaxation, coupling, top_fraction, state=None):
+    def sweep(self, t, cells, code, relaxation, coupling, top_fraction, state=None, moved=AT_HOME):
         """One sweep, read at time `t`; returns the carried load (z, y, x) in N where kept."""
         setup, readings = self.setup, self.readings
         fields = readings.replicate_vertical_stress
@@ -611,7 +626,7 @@ class _Recorder:
         load = np.zeros(shape, dtype=setup.cell_weight.dtype)
         base_load = np.zeros(code.shape[1:])
         weight, shed = stress_sweep(
-            *cells, code, relaxation, top_fraction, load, base_load, coupling
+            *cells, code, relaxation, top_fraction, load, base_load, coupling, moved
         )
         error = abs(weight - base_load.sum() - shed) / weight
         if not error <= BALANCE_TOLERANCE:

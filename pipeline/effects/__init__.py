@@ -105,16 +105,17 @@ class Active:
 class Packing:
     """Cells of one replicate before draw, by cell identity (flat, the index into (z, y, x)).
 
-    `weight` (N) and `shed_fraction` (1 − E) belong to the cell and travel with it, as does the
+    `code` (z, y, x) are the cell codes. `weight` (N) and `shed_fraction` (1 − E; one number where
+    all cells shed alike) belong to the cell and travel with it, as does the
     shift `s_shift` of its spreading exponent. `persistence` is the share of a place's weights β
     that stays when another cell moves in. `random` is the root of the effects' streams.
     """
 
     experiment: Any
     lattice: Any
-    ground: np.ndarray
+    code: np.ndarray
     weight: np.ndarray
-    shed_fraction: np.ndarray
+    shed_fraction: np.ndarray | np.floating
     s_shift: np.ndarray | float
     persistence: float
     random: np.random.Generator

@@ -20,8 +20,8 @@ def compact_cells(cells: Packing, values: Values) -> Packing:
     """A bed to be drawn: the overburden before draw; cells keep their density as they move."""
     if not cells.experiment.is_draw:
         return cells
-    shape = cells.lattice.shape
-    weight = _compacted(cells.weight.reshape(shape), cells.ground.reshape(shape), values["index"])
+    weight = cells.weight.reshape(cells.code.shape)
+    weight = _compacted(weight, cells.code == STAGNANT, values["index"])
     return replace(cells, weight=weight.ravel())
 
 

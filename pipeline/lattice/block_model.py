@@ -41,19 +41,19 @@ def build_block_model(experiment: Experiment) -> xr.Dataset:
     ground = ground_mask(experiment, lattice)
     if not ground.any():
         raise _mask_error(experiment, "", "it leaves no ground cell")
-    density = np.where(ground, np.float64(experiment.material.bulk_density), 0.0)
-    density[-1] *= lattice.top_fraction
-    size = experiment.material.particle_size
-    d50 = np.where(ground, np.nan if size is None else 0.5 * (size[0] + size[1]), np.nan)
-    cell_id = np.where(ground, np.arange(ground.size).reshape(ground.shape), -1)
+    bulk_density, size = experiment.material.bulk_density, experiment.material.particle_size
+    density = np.where(ground, np.float32(bulk_density), np.float32(0.0))
+    density[-1] = np.where(ground[-1], bulk_density * lattice.top_fraction, 0.0)
+    d50 = np.nan if size is None else 0.5 * (size[0] + size[1])
+    cell_id = np.arange(ground.size, dtype=np.int32).reshape(ground.shape)
     dims = ("z", "y", "x")
     return xr.Dataset(
         {
-            "state": (dims, np.where(ground, STATE_GRANULAR, STATE_OUTSIDE).astype(np.int8)),
+            "state": (dims, np.where(ground, STATE_GRANULAR, STATE_OUTSIDE)),
             "zone": (dims, np.full(ground.shape, ZONE_STAGNANT, np.int8)),
-            "bulk_density": (dims, density.astype(np.float32)),
-            "d50": (dims, d50.astype(np.float32)),
-            "cell_id": (dims, cell_id.astype(np.int32)),
+            "bulk_density": (dims, density),
+            "d50": (dims, np.where(ground, np.float32(d50), np.float32(np.nan))),
+            "cell_id": (dims, np.where(ground, cell_id, np.int32(-1))),
         },
         coords={axis: (axis, lattice.centers(axis)) for axis in "zyx"},
         attrs={"lattice_notes": "; ".join(lattice.notes)},
@@ -63,7 +63,7 @@ def build_block_model(experiment: Experiment) -> xr.Dataset:
 def cell_codes(block_model: xr.Dataset) -> np.ndarray:
     """Kernel cell codes (z, y, x) int8 of a block model before draw."""
     outside = block_model["state"].values == STATE_OUTSIDE
-    return np.where(outside, OUTSIDE, STAGNANT).astype(np.int8)
+    return np.where(outside, OUTSIDE, STAGNANT)
 
 
 def ground_mask(experiment: Experiment, lattice: Lattice) -> np.ndarray:

@@ -5,7 +5,9 @@ that climbs: at each level it exchanges places with one granular cell of the nin
 with probability proportional to (1/d)^n, where d = 1, sqrt(2), sqrt(3) and n is the flow exponent.
 A void that loosens a stagnant cell parks in its place with probability q (bulking).
 
-`pipeline.lattice.flow_reference` does the same slowly and obviously, with the same random draws.
+A void finds its way up in flags that stay in cache (`pipeline.lattice.flags`); then the cells sink
+along it. `pipeline.lattice.flow_reference` does the same slowly and obviously, with the same random
+draws.
 
 Source: void diffusion of Gomez & Castro (2022), IJRMMS 154, 105124, section 1.
 """
@@ -17,9 +19,29 @@ import numpy as np
 from numba import njit
 
 from pipeline.lattice.cells import AIR, MOVEMENT, OUTSIDE, STAGNANT, VOID
+from pipeline.lattice.flags import flags_around, has_flag, new_flags, set_flag
+from pipeline.lattice.grid import GRAVITY
 
 DRAWN_CELLS, LOOSENED_CELLS, PARKED_VOIDS, HANG_UPS, VOID_STEPS = range(5)
 """Positions in ``FlowState.counters``."""
+
+NONE, SEVERAL = np.int16(-1), np.int16(-2)
+"""Labels of a block without a loosened place, and of one with places of more zones than one."""
+
+
+class FlowIndex(NamedTuple):
+    """What the kernels look up in place of the lattice; it follows from `FlowState`'s ground.
+
+    - ``granular``, ``loosened``: flags of the places with a granular cell, and of those in a
+      movement zone, see `pipeline.lattice.flags`.
+    - ``block_label`` int16 (z, y, x): a label of the one connected zone that all loosened places
+      of a block of 8 x 8 x 8 places belong to; ``NONE`` or ``SEVERAL``. A block of several stays
+      so, even when they unite.
+    """
+
+    granular: np.ndarray
+    loosened: np.ndarray
+    block_label: np.ndarray
 
 
 class FlowState(NamedTuple):
@@ -50,6 +72,8 @@ class FlowState(NamedTuple):
 
     ``counters`` int64 (5): cells drawn; cells loosened, which is also the number of loosened
     places; voids parked by bulking; voids parked by a hang-up; exchanges made by climbing voids.
+
+    ``index``: what `flow_index` makes of ``code``, ``zone`` and ``zone_root``, kept up to date.
     """
 
     code: np.ndarray
@@ -65,6 +89,7 @@ class FlowState(NamedTuple):
     drawn_drawpoint: np.ndarray
     drawn_mass: np.ndarray
     counters: np.ndarray
+    index: FlowIndex
 
 
 def new_flow_state(code, openings):
@@ -76,7 +101,8 @@ def new_flow_state(code, openings):
     the lattice, or shared.
     """
     code = np.array(code, dtype=np.int8, order="C")
-    if not np.isin(code, (STAGNANT, OUTSIDE, AIR)).all():
+    granular = code == STAGNANT
+    if not (granular | (code == OUTSIDE) | (code == AIR)).all():
         raise ValueError("undisturbed ground holds only STAGNANT, OUTSIDE and AIR cells")
     openings = [np.asarray(cells, dtype=np.int32).reshape(-1, 3) for cells in openings]
     if not openings or min(map(len, openings)) == 0:
@@ -89,22 +115,48 @@ def new_flow_state(code, openings):
 
     nz, _, nx = code.shape
     drawpoints = len(openings)
-    granular = code == STAGNANT
+    cells = np.count_nonzero(granular)
+    cell_id = np.arange(code.size, dtype=np.int32).reshape(code.shape)
+    cell_id[~granular] = -1
+    zone = np.full(code.shape, -1, dtype=np.int16)
+    zone_root = np.arange(drawpoints, dtype=np.int16)
     return FlowState(
         code=code,
-        cell_id=np.where(granular, np.arange(code.size).reshape(code.shape), -1).astype(np.int32),
+        cell_id=cell_id,
         moved=np.zeros(code.shape, dtype=np.bool_),
-        zone=np.full(code.shape, -1, dtype=np.int16),
-        zone_root=np.arange(drawpoints, dtype=np.int16),
+        zone=zone,
+        zone_root=zone_root,
         level_min_x=np.full((drawpoints, nz), nx, dtype=np.int32),
         level_max_x=np.full((drawpoints, nz), -1, dtype=np.int32),
         opening_cells=opening_cells,
         opening_offsets=np.cumsum([0, *map(len, openings)]),
-        drawn_cell=np.full(granular.sum(), -1, dtype=np.int32),
-        drawn_drawpoint=np.full(granular.sum(), -1, dtype=np.int16),
-        drawn_mass=np.zeros(granular.sum()),
+        drawn_cell=np.zeros(cells, dtype=np.int32),  # zeros take no memory before they are written
+        drawn_drawpoint=np.zeros(cells, dtype=np.int16),
+        drawn_mass=np.zeros(cells),
         counters=np.zeros(5, dtype=np.int64),
+        index=flow_index(code, zone, zone_root),
     )
+
+
+def flow_index(code, zone, zone_root):
+    """`FlowIndex` of ground in any state; arguments as in `FlowState`."""
+    blocks = [(n + 7) // 8 for n in code.shape]
+    index = FlowIndex(new_flags(code.shape), new_flags(code.shape), np.full(blocks, NONE))
+    _fill_index(code, zone, zone_root, index)
+    return index
+
+
+@njit(nogil=True, cache=True)
+def _fill_index(code, zone, zone_root, index):
+    nz, ny, nx = code.shape
+    for j in range(ny):
+        for k in range(nz):
+            for i in range(nx):
+                if _is_granular(code[k, j, i]):
+                    set_flag(index.granular, k, j, i, True)
+                if zone[k, j, i] >= 0:
+                    set_flag(index.loosened, k, j, i, True)
+                    _label_block(index.block_label, zone_root, k, j, i, zone[k, j, i])
 
 
 def climb_chances(exponent):
@@ -121,10 +173,10 @@ def climb_chances(exponent):
 
 
 @njit(nogil=True, cache=True)
-def draw_to(state, cell_mass, drawpoint, target_mass, chances, bulking, rng):
+def draw_to(state, cell_weight, drawpoint, target_mass, chances, bulking, rng):
     """Draw cells at ``drawpoint`` until the experiment's drawn mass is nearest to the target.
 
-    ``cell_mass`` float64 (nz*ny*nx): kg of each cell, by its identity. ``target_mass`` kg counts
+    ``cell_weight`` float (nz*ny*nx): N of each cell, by its identity. ``target_mass`` kg counts
     from the start of the experiment, over all drawpoints. ``chances`` is `climb_chances` of the
     flow exponent, ``bulking`` the probability 0..1 that a void parks where it loosens a cell.
     ``rng`` is a ``numpy.random.Generator``, the only source of chance.
@@ -136,49 +188,67 @@ def draw_to(state, cell_mass, drawpoint, target_mass, chances, bulking, rng):
     Changes the arrays of ``state``. Returns the shortfall in kg: what is missing to the target
     when no granular cell is left in the opening, else 0. An empty opening stays empty.
     """
+    # the kernels below take arrays, not the state: Numba counts references to each part of a tuple
+    code, cell_id, moved, counters = state.code, state.cell_id, state.moved, state.counters
+    zone, zone_root = state.zone, state.zone_root
+    min_x, max_x = state.level_min_x[drawpoint], state.level_max_x[drawpoint]
+    granular, loosened, blocks = state.index
     opening = state.opening_cells
     first = state.opening_offsets[drawpoint]
     end = state.opening_offsets[drawpoint + 1]
-    drawn = state.counters[DRAWN_CELLS]
+    available = np.empty(end - first, np.int64)
+    way = np.empty((len(code), 2), np.int32)
+    fresh = np.empty(len(code), np.bool_)
+    drawn = counters[DRAWN_CELLS]
     mass = state.drawn_mass[drawn - 1] if drawn > 0 else 0.0
     while True:
         count = 0
         opening_mass = 0.0
         for row in range(first, end):
             k, j, i = opening[row, 0], opening[row, 1], opening[row, 2]
-            if _is_granular(state.code[k, j, i]):
+            if _is_granular(code[k, j, i]):
+                available[count] = row
                 count += 1
-                opening_mass += cell_mass[state.cell_id[k, j, i]]
+                opening_mass += _mass(cell_weight[cell_id[k, j, i]])
         if count == 0:
             return max(target_mass - mass, 0.0)
         if mass + 0.5 * (opening_mass / count) > target_mass:
             return 0.0
 
-        skip = int(rng.random() * count)
-        row = first
-        while True:
-            k, j, i = opening[row, 0], opening[row, 1], opening[row, 2]
-            row += 1
-            if _is_granular(state.code[k, j, i]):
-                if skip == 0:
-                    break
-                skip -= 1
-        cell = state.cell_id[k, j, i]
-        mass += cell_mass[cell]
+        row = available[int(rng.random() * count)]
+        k, j, i = opening[row, 0], opening[row, 1], opening[row, 2]
+        cell = cell_id[k, j, i]
+        mass += _mass(cell_weight[cell])
         state.drawn_cell[drawn] = cell
         state.drawn_drawpoint[drawn] = drawpoint
         state.drawn_mass[drawn] = mass
         drawn += 1
-        state.counters[DRAWN_CELLS] = drawn
-        if state.code[k, j, i] == STAGNANT:
-            _loosen(state, k, j, i, drawpoint)
+        counters[DRAWN_CELLS] = drawn
+
+        way[0, 0], way[0, 1] = j, i
+        fresh[0] = code[k, j, i] == STAGNANT
+        if not fresh[0]:
+            _unite(zone_root, zone[k, j, i], drawpoint)
+        steps, parks = _climb(k, way, fresh, granular, loosened, chances, bulking, rng)
+        counters[LOOSENED_CELLS] += _loosen(
+            k, way, fresh, steps, drawpoint, code, zone, zone_root, min_x, max_x, loosened, blocks
+        )
+        _sink(k, way, steps, cell_id, moved)
+        counters[VOID_STEPS] += steps
+        k, j, i = k + steps, way[steps, 0], way[steps, 1]
+        set_flag(granular, k, j, i, False)
+        if parks:
+            counters[PARKED_VOIDS] += 1
+            code[k, j, i] = VOID
+        elif _reaches_surface(code, k, j, i):
+            code[k, j, i] = AIR
         else:
-            _unite(state.zone_root, state.zone[k, j, i], drawpoint)
-        _climb(state, k, j, i, drawpoint, chances, bulking, rng)
+            counters[HANG_UPS] += 1
+            code[k, j, i] = VOID
 
 
 @njit(nogil=True, cache=True)
-def draw_visits(state, cell_mass, drawpoints, ends, missing, shortfall, chances, bulking, rng):
+def draw_visits(state, cell_weight, drawpoints, ends, missing, shortfall, chances, bulking, rng):
     """`draw_to` for visits in turn; returns the mass in kg that drawpoints lacked so far.
 
     ``drawpoints`` int64 and ``ends`` float64 (visit): where, and the scheduled mass at its end.
@@ -188,7 +258,7 @@ def draw_visits(state, cell_mass, drawpoints, ends, missing, shortfall, chances,
     for visit in range(len(drawpoints)):
         drawpoint = drawpoints[visit]
         target = ends[visit] - missing
-        short = draw_to(state, cell_mass, drawpoint, target, chances, bulking, rng)
+        short = draw_to(state, cell_weight, drawpoint, target, chances, bulking, rng)
         shortfall[drawpoint] += short
         missing += short
     return missing
@@ -217,53 +287,46 @@ def zone_geometry(state, cell_size):
 
 
 @njit(nogil=True, cache=True)
-def _climb(state, k, j, i, drawpoint, chances, bulking, rng):
-    """Let the void that a drawn cell left at (k, j, i) climb until it parks or becomes air.
+def _climb(k, way, fresh, granular, loosened, chances, bulking, rng):
+    """Find the way up of a void from level ``k``, until it parks or nothing is left above it.
 
-    The place of the void is written only where it stays. A place with a stagnant cell was never
-    a void's, so that zones are looked at there only.
+    ``way`` int32 (step, 2) holds its place (j, i) on level k + step, the first of them given;
+    ``fresh`` bool (step) whether it is the first void there. Returns the number of steps, and
+    whether it parks where it loosened a cell. Nothing but the two arrays is written.
     """
-    nz, ny, nx = state.code.shape
-    code = state.code.reshape(-1)
-    cell_id = state.cell_id.reshape(-1)
-    moved = state.moved.reshape(-1)
-    counters = state.counters
-    place = (k * ny + j) * nx + i
-    while True:
-        above = place + ny * nx
-        granular = _granular_at(code, above, j, i, ny, nx) if k + 1 < nz else 0
-        if granular == 0:
+    j, i = way[0, 0], way[0, 1]
+    steps = 0
+    parks = False
+    while not parks:
+        around = flags_around(granular, k + steps + 1, j, i)
+        if around == 0:
             break
-
-        threshold = rng.random() * chances[granular, 8]
+        threshold = rng.random() * chances[around, 8]
         chosen = 0
         for m in range(8):
-            chosen += threshold >= chances[granular, m]
-        dy, dx = chosen // 3 - 1, chosen % 3 - 1
-        above += dy * nx + dx
-        was_stagnant = code[above] == STAGNANT
-        code[place] = MOVEMENT
+            chosen += threshold >= chances[around, m]
+        j += chosen // 3 - 1
+        i += chosen % 3 - 1
+        steps += 1
+        way[steps, 0], way[steps, 1] = j, i
+        fresh[steps] = not has_flag(loosened, k + steps, j, i)
+        if fresh[steps]:
+            parks = bulking >= 1.0 or (bulking > 0.0 and rng.random() < bulking)
+    return steps, parks
+
+
+@njit(nogil=True, cache=True)
+def _sink(k, way, steps, cell_id, moved):
+    """Move the cells on a void's way from level ``k`` one place down; the last place is empty."""
+    _, ny, nx = cell_id.shape
+    cell_id, moved = cell_id.reshape(-1), moved.reshape(-1)
+    place = (k * ny + way[0, 0]) * nx + way[0, 1]
+    for m in range(steps):
+        above = place + (ny + way[m + 1, 0] - way[m, 0]) * nx + way[m + 1, 1] - way[m, 1]
         cell_id[place] = cell_id[above]
         moved[place] = True
         place = above
-        k += 1
-        j += dy
-        i += dx
-        counters[VOID_STEPS] += 1
-        if was_stagnant:
-            _loosen(state, k, j, i, drawpoint)
-            if bulking >= 1.0 or (bulking > 0.0 and rng.random() < bulking):
-                counters[PARKED_VOIDS] += 1
-                code[place] = VOID
-                cell_id[place] = -1
-                return
-
     cell_id[place] = -1
-    if _reaches_surface(state.code, k, j, i):
-        code[place] = AIR
-    else:
-        counters[HANG_UPS] += 1
-        code[place] = VOID
 
 
 @njit(nogil=True, cache=True)
@@ -271,23 +334,10 @@ def _is_granular(cell):
     return (cell == STAGNANT) | (cell == MOVEMENT)
 
 
-@njit(nogil=True, cache=True, inline="always")
-def _granular_at(code, center, j, i, ny, nx):
-    """Which of the nine cells of a level around (j, i), flat index ``center``, are granular.
-
-    One bit each, the row of `climb_chances`. Unsigned indices spare the test for negative ones.
-    """
-    bits = 0
-    if 0 < j < ny - 1 and 0 < i < nx - 1:
-        for m in range(9):
-            near = np.uint64(center + (m // 3 - 1) * nx + m % 3 - 1)
-            bits |= _is_granular(code[near]) << m
-    else:
-        for m in range(9):
-            dy, dx = m // 3 - 1, m % 3 - 1
-            if 0 <= j + dy < ny and 0 <= i + dx < nx:
-                bits |= _is_granular(code[center + dy * nx + dx]) << m
-    return bits
+@njit(nogil=True, cache=True)
+def _mass(weight):
+    """kg of a cell that weighs so many N."""
+    return np.float64(weight) / GRAVITY
 
 
 @njit(nogil=True, cache=True)
@@ -306,19 +356,58 @@ def _reaches_surface(code, k, j, i):
 
 
 @njit(nogil=True, cache=True)
-def _loosen(state, k, j, i, drawpoint):
-    """Add a place to the zone of a drawpoint and unite that zone with those that it touches."""
-    zone = state.zone
+def _loosen(
+    k, way, fresh, steps, drawpoint, code, zone, zone_root, min_x, max_x, loosened, block_label
+):
+    """Add the fresh places of a way to the zone of a drawpoint; returns how many there are.
+
+    That zone is united with those that they touch.
+    """
     nz, ny, nx = zone.shape
-    state.counters[LOOSENED_CELLS] += 1
-    zone[k, j, i] = drawpoint
-    state.level_min_x[drawpoint, k] = min(state.level_min_x[drawpoint, k], i)
-    state.level_max_x[drawpoint, k] = max(state.level_max_x[drawpoint, k], i)
-    for kk in range(max(k - 1, 0), min(k + 2, nz)):
-        for jj in range(max(j - 1, 0), min(j + 2, ny)):
-            for ii in range(max(i - 1, 0), min(i + 2, nx)):
-                if zone[kk, jj, ii] >= 0:
-                    _unite(state.zone_root, zone[kk, jj, ii], drawpoint)
+    count = 0
+    for m in range(steps + 1):
+        if not fresh[m]:
+            continue
+        count += 1
+        kk, j, i = k + m, way[m, 0], way[m, 1]
+        code[kk, j, i] = MOVEMENT
+        zone[kk, j, i] = drawpoint
+        set_flag(loosened, kk, j, i, True)
+        min_x[kk] = min(min_x[kk], i)
+        max_x[kk] = max(max_x[kk], i)
+        if _other_zones_near(block_label, zone_root, kk, j, i, drawpoint, zone.shape):
+            for z in range(max(kk - 1, 0), min(kk + 2, nz)):
+                for y in range(max(j - 1, 0), min(j + 2, ny)):
+                    for x in range(max(i - 1, 0), min(i + 2, nx)):
+                        if zone[z, y, x] >= 0:
+                            _unite(zone_root, zone[z, y, x], drawpoint)
+        _label_block(block_label, zone_root, kk, j, i, drawpoint)
+    return count
+
+
+@njit(nogil=True, cache=True)
+def _other_zones_near(block_label, zone_root, k, j, i, drawpoint, shape):
+    """Whether the blocks around a place hold loosened places of other zones than a drawpoint's."""
+    nz, ny, nx = shape
+    found = False
+    for z in (max(k - 1, 0) >> 3, min(k + 1, nz - 1) >> 3):
+        for y in (max(j - 1, 0) >> 3, min(j + 1, ny - 1) >> 3):
+            for x in (max(i - 1, 0) >> 3, min(i + 1, nx - 1) >> 3):
+                label = block_label[z, y, x]
+                other = zone_root[max(label, 0)] != zone_root[drawpoint]
+                found |= (label == SEVERAL) | ((label != NONE) & other)
+    return found
+
+
+@njit(nogil=True, cache=True)
+def _label_block(block_label, zone_root, k, j, i, label):
+    """Enter a loosened place with this label into its block."""
+    z, y, x = k >> 3, j >> 3, i >> 3
+    known = block_label[z, y, x]
+    if known == NONE:
+        block_label[z, y, x] = label
+    elif known != SEVERAL and zone_root[known] != zone_root[label]:
+        block_label[z, y, x] = SEVERAL
 
 
 @njit(nogil=True, cache=True)

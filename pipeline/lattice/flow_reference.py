@@ -17,11 +17,12 @@ from pipeline.lattice.flow import (
     PARKED_VOIDS,
     VOID_STEPS,
 )
+from pipeline.lattice.grid import GRAVITY
 
 
 def draw_to(
     state,
-    cell_mass,
+    cell_weight,
     drawpoint,
     target_mass,
     exponent,
@@ -32,7 +33,7 @@ def draw_to(
     """As `pipeline.lattice.flow.draw_to`, with the flow exponent itself instead of its table.
 
     ``after_step`` is called with the state whenever a void has exchanged places with a cell; the
-    climbing void is then a ``VOID`` without identity.
+    climbing void is then a ``VOID`` without identity. ``state.index`` is left as it is.
     """
     rows = slice(*state.opening_offsets[drawpoint : drawpoint + 2])
     opening = [tuple(place) for place in state.opening_cells[rows].tolist()]
@@ -44,7 +45,7 @@ def draw_to(
             return max(target_mass - mass, 0.0)
         opening_mass = 0.0
         for place in available:
-            opening_mass += cell_mass[state.cell_id[place]]
+            opening_mass += float(cell_weight[state.cell_id[place]]) / GRAVITY
         mean_mass = opening_mass / len(available)
         if mass + mean_mass / 2 > target_mass:
             return 0.0
@@ -53,7 +54,7 @@ def draw_to(
         cell = state.cell_id[place]
         state.drawn_cell[drawn] = cell
         state.drawn_drawpoint[drawn] = drawpoint
-        state.drawn_mass[drawn] = mass + cell_mass[cell]
+        state.drawn_mass[drawn] = mass + float(cell_weight[cell]) / GRAVITY
         state.counters[DRAWN_CELLS] += 1
         state.code[place] = VOID
         state.cell_id[place] = -1

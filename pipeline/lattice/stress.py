@@ -113,6 +113,22 @@ class Coupling(NamedTuple):
 UNCOUPLED = Coupling()
 
 
+class Moved(NamedTuple):
+    """Where draw has brought the cells, and what those in movement zones shed.
+
+    - ``cell_id`` int32, ``zone`` int16: (z, y, x) as in `flow.FlowState`, or (0, 0, 0) where no
+      cell has moved.
+    - ``zone_shed`` float64 (drawpoint): 1 − E_min for each zone label.
+    """
+
+    cell_id: np.ndarray = np.zeros((0, 0, 0), np.int32)
+    zone: np.ndarray = np.zeros((0, 0, 0), np.int16)
+    zone_shed: np.ndarray = np.zeros(0)
+
+
+AT_HOME = Moved()
+
+
 def stress_sweep(
     weight: np.ndarray,
     shed_fraction: np.ndarray,
@@ -124,6 +140,7 @@ def stress_sweep(
     load: np.ndarray,
     base_load: np.ndarray,
     coupling: Coupling = UNCOUPLED,
+    moved: Moved = AT_HOME,
 ) -> tuple[float, float]:
     """Carry all weights down the lattice.
 
@@ -131,7 +148,7 @@ def stress_sweep(
     ----------
     weight : (z, y, x) float
         Own weight γV of each granular cell, N; 0 in void cells and outside the ground.
-    shed_fraction : (z, y, x) float
+    shed_fraction : (z, y, x) float, or (1, 1, 1) where all cells are alike
         1 − E of each cell: the share of its load that friction takes (eq 1).
     edge, corner : (z, y, x) float
         Spreading weights of the giving cell, from `spreading_weights`.
@@ -147,6 +164,8 @@ def stress_sweep(
     base_load : (y, x) float64
         Receives the load that each base place (or the rock below a column) takes, N.
     coupling : what effects add to the sweep
+    moved : where the cells are
+        If they have moved, `weight` and `shed_fraction` are by the place where a cell began.
 
     Returns
     -------
@@ -164,6 +183,7 @@ def stress_sweep(
         load,
         base_load,
         coupling,
+        moved,
     )
 
 
@@ -179,6 +199,7 @@ def _sweep(
     load,
     base_load,
     coupling,
+    moved,
 ):
     nz, ny, nx = weight.shape
     keep = load.shape[0] > 0
@@ -188,6 +209,9 @@ def _sweep(
     shares_excess = coupling.transfer > 0.0
     excess = np.zeros(coupling.zone_root.max() + 1 if shares_excess else 0)
     straight_share = coupling.straight.shape[0] > 0
+    have_moved = moved.cell_id.shape[0] > 0
+    placed_weight = np.empty((ny if have_moved else 0, nx), weight.dtype)
+    placed_shed = np.full((ny, nx), shed_fraction[0, 0, 0])
     carried = np.zeros((ny, nx))
     straight = np.zeros((ny, nx))  # handed straight down because no receiver is granular
     down = np.zeros((ny + 2, nx + 2))  # transmitted load per unit of spreading weight, and that
@@ -200,9 +224,15 @@ def _sweep(
     _receptivity(code, nz - 1, relaxation, coupling.relaxation, receptivity)
     for k in range(nz - 1, -1, -1):
         scale = top_fraction if k == nz - 1 else 1.0
+        level_weight, level_shed = weight[k], placed_shed
+        if have_moved:
+            level_weight = placed_weight
+            _place_level(code, moved, k, weight, shed_fraction, level_weight, level_shed)
+        elif shed_fraction.size > 1:
+            level_shed = shed_fraction[k]
         for y in range(ny):
             for x in range(nx):
-                own = scale * weight[k, y, x]
+                own = scale * level_weight[y, x]
                 total_weight += own
                 if leaning:
                     from_edges = (
@@ -248,7 +278,7 @@ def _sweep(
             for x in range(nx):
                 cell = code[k, y, x]
                 if cell in (STAGNANT, MOVEMENT):
-                    fraction = np.float64(shed_fraction[k, y, x])
+                    fraction = np.float64(level_shed[y, x])
                     by_stress = 1.0
                     if coupling.slope != 0.0 and carried[y, x] > 0.0:
                         by_stress = (carried[y, x] / coupling.reference) ** coupling.slope
@@ -431,40 +461,48 @@ def read_base(base_load, on_ground, footprints, scale, readings):
 
 
 @njit(nogil=True, cache=True)
-def place_cells(code, cell_id, zone, cell_weight, cell_shed, zone_shed, weight, shed_fraction):
-    """Weights and shed fractions of the cells where they now are.
+def place_cells(code, moved, cell_weight, cell_shed):
+    """Weights and shed fractions (z, y, x) of the cells where they now are.
 
-    `code`, `cell_id`, `zone` (z, y, x) as in `flow.FlowState`; `cell_weight` (N) and `cell_shed`
-    (1 − E) by cell identity; `zone_shed` (drawpoint) is 1 − E_min of each zone label. Fills
-    `weight` and `shed_fraction` (z, y, x).
+    `code` (z, y, x) and `moved` are the lattice's; `cell_weight` (N) and `cell_shed` (1 − E) are
+    (z, y, x) by the place where a cell began, the latter (1, 1, 1) where all are alike.
     """
-    nz, ny, nx = code.shape
-    for k in range(nz):
-        for y in range(ny):
-            for x in range(nx):
-                cell = code[k, y, x]
-                if cell == STAGNANT:
-                    weight[k, y, x] = cell_weight[cell_id[k, y, x]]
-                    shed_fraction[k, y, x] = cell_shed[cell_id[k, y, x]]
-                elif cell == MOVEMENT:
-                    weight[k, y, x] = cell_weight[cell_id[k, y, x]]
-                    shed_fraction[k, y, x] = zone_shed[zone[k, y, x]]
-                else:
-                    weight[k, y, x] = 0.0
-                    shed_fraction[k, y, x] = 0.0
+    weight, shed = np.empty(code.shape, cell_weight.dtype), np.empty(code.shape, cell_shed.dtype)
+    for k in range(len(code)):
+        _place_level(code, moved, k, cell_weight, cell_shed, weight[k], shed[k])
+    return weight, shed
 
 
 @njit(nogil=True, cache=True)
-def place_zones(cell_id, zone, zone_root, cell_shed):
+def _place_level(code, moved, k, cell_weight, cell_shed, weight, shed):
+    """`place_cells` of level k, into `weight` and `shed` (y, x)."""
+    cell_weight, cell_shed = cell_weight.reshape(-1), cell_shed.reshape(-1)
+    _, ny, nx = code.shape
+    for y in range(ny):
+        for x in range(nx):
+            place = code[k, y, x]
+            weight[y, x], shed[y, x] = 0.0, 0.0
+            if place in (STAGNANT, MOVEMENT):
+                cell = moved.cell_id[k, y, x]
+                weight[y, x] = cell_weight[cell]
+                if place == MOVEMENT:
+                    shed[y, x] = moved.zone_shed[moved.zone[k, y, x]]
+                else:
+                    shed[y, x] = cell_shed[min(cell, len(cell_shed) - 1)]
+
+
+@njit(nogil=True, cache=True)
+def place_zones(moved, zone_root, cell_shed):
     """(z, y, x): label of the connected zone, −1 outside, and 1 − E of the cell that is there now.
 
-    Arguments as in `place_cells`; `zone_root` (drawpoint) as in `flow.FlowState`. Where there is
-    no cell, 1 − E is that of the first.
+    `moved` and `cell_shed` as in `place_cells`; `zone_root` (drawpoint) as in `flow.FlowState`.
+    Where there is no cell, 1 − E is that of the first.
     """
-    root, own = np.empty(zone.shape, np.int16), np.empty(zone.shape, cell_shed.dtype)
-    labels, ids = zone.reshape(-1), cell_id.reshape(-1)
-    for place in range(zone.size):
+    shape, sheds = moved.zone.shape, cell_shed.reshape(-1)
+    root, own = np.empty(shape, np.int16), np.empty(shape, cell_shed.dtype)
+    labels, ids = moved.zone.reshape(-1), moved.cell_id.reshape(-1)
+    for place in range(labels.size):
         label = labels[place]
         root.flat[place] = zone_root[label] if label >= 0 else np.int16(-1)
-        own.flat[place] = cell_shed[max(ids[place], 0)]
+        own.flat[place] = sheds[min(max(ids[place], 0), len(sheds) - 1)]
     return root, own

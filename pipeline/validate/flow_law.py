@@ -31,6 +31,7 @@ from pipeline.lattice.flow import (
     new_flow_state,
     zone_geometry,
 )
+from pipeline.lattice.grid import GRAVITY
 from pipeline.montecarlo.streams import FLOW, random_stream
 
 BAND = (0.45, 0.60)  # of the exponent, from BAND_FROM on
@@ -155,12 +156,12 @@ def _grow(bulking, exponent, shape, opening, count, rng):
     j, i = (ny - opening) // 2, (nx - opening) // 2
     cells = [(0, j + dy, i + dx) for dy in range(opening) for dx in range(opening)]
     state = new_flow_state(np.full(shape, STAGNANT), [cells])
-    cell_mass = np.ones(state.code.size)
+    cell_weight = np.full(state.code.size, GRAVITY)  # of 1 kg
     chances = climb_chances(exponent)
     rows = []
     while len(rows) < count:
         target = FIRST_DRAWN * DRAW_GROWTH ** len(rows)
-        shortfall = draw_to(state, cell_mass, 0, target, chances, bulking, rng)
+        shortfall = draw_to(state, cell_weight, 0, target, chances, bulking, rng)
         (height,), (extent,) = zone_geometry(state, 1.0)
         loosened = state.zone[: int(height)] >= 0
         if height == nz:

@@ -14,13 +14,17 @@ from pipeline.lattice.flow import (
     DRAWN_CELLS,
     HANG_UPS,
     LOOSENED_CELLS,
+    NONE,
     PARKED_VOIDS,
+    SEVERAL,
     VOID_STEPS,
     climb_chances,
     draw_to,
+    flow_index,
     new_flow_state,
     zone_geometry,
 )
+from pipeline.lattice.grid import GRAVITY
 
 
 @st.composite
@@ -38,7 +42,7 @@ def layouts(draw):
     base = rng.permutation(np.argwhere(np.ones_like(code[:2])))
     drawpoints = draw(st.integers(1, min(3, len(base))))
     openings = np.array_split(base[: draw(st.integers(drawpoints, len(base)))], drawpoints)
-    return code, openings, rng.uniform(0.5, 1.5, code.size)
+    return code, openings, rng.uniform(5.0, 15.0, code.size)
 
 
 LAWS = {
@@ -58,15 +62,27 @@ def column(*, shape, opening, x=None):
 
 def draw_cells(state, drawpoint, count, *, exponent=3.0, bulking, rng):
     """Draw up to ``count`` cells of 1 kg in all; the shortfall is in cells then."""
-    mass = np.ones(state.code.size)
+    weight = np.full(state.code.size, GRAVITY)
     return draw_to(
-        state, mass, drawpoint, float(count), climb_chances(exponent), float(bulking), rng
+        state, weight, drawpoint, float(count), climb_chances(exponent), float(bulking), rng
     )
 
 
 def assert_same(state, other):
-    for name in state._fields:
+    for name in set(state._fields) - {"index"}:
         np.testing.assert_array_equal(getattr(state, name), getattr(other, name), err_msg=name)
+
+
+def assert_index_follows(state):
+    """The index is that of the ground, but for blocks of several zones that have united since."""
+    kept, made = state.index, flow_index(state.code, state.zone, state.zone_root)
+    np.testing.assert_array_equal(kept.granular, made.granular)
+    np.testing.assert_array_equal(kept.loosened, made.loosened)
+    one = kept.block_label >= 0
+    roots = state.zone_root[kept.block_label[one]]
+    np.testing.assert_array_equal(roots, state.zone_root[made.block_label[one]])
+    np.testing.assert_array_equal(kept.block_label == NONE, made.block_label == NONE)
+    assert (kept.block_label[made.block_label == SEVERAL] == SEVERAL).all()
 
 
 def assert_kept(state, initial):
@@ -81,7 +97,7 @@ def assert_kept(state, initial):
 @settings(deadline=None, max_examples=60)
 @given(layout=layouts(), **LAWS)
 def test_kernel_repeats_the_reference_draw_by_draw(layout, exponent, bulking, seed):
-    code, openings, mass = layout
+    code, openings, weight = layout
     kernel, reference = new_flow_state(code, openings), new_flow_state(code, openings)
     kernel_rng, reference_rng = np.random.default_rng(seed), np.random.default_rng(seed)
     chances = climb_chances(exponent)
@@ -89,11 +105,12 @@ def test_kernel_repeats_the_reference_draw_by_draw(layout, exponent, bulking, se
     for visit in range(24):
         target += 0.3 * (visit % 5)
         drawpoint = visit % len(openings)
-        shortfall = draw_to(kernel, mass, drawpoint, target, chances, bulking, kernel_rng)
+        shortfall = draw_to(kernel, weight, drawpoint, target, chances, bulking, kernel_rng)
         assert shortfall == flow_reference.draw_to(
-            reference, mass, drawpoint, target, exponent, bulking, reference_rng
+            reference, weight, drawpoint, target, exponent, bulking, reference_rng
         )
         assert_same(kernel, reference)
+        assert_index_follows(kernel)
         assert kernel_rng.bit_generator.state == reference_rng.bit_generator.state
         target -= shortfall
 
@@ -101,13 +118,13 @@ def test_kernel_repeats_the_reference_draw_by_draw(layout, exponent, bulking, se
 @settings(deadline=None, max_examples=25)
 @given(layout=layouts(), **LAWS)
 def test_cells_are_kept_at_every_void_step(layout, exponent, bulking, seed):
-    code, openings, mass = layout
+    code, openings, weight = layout
     state = new_flow_state(code, openings)
     rng = np.random.default_rng(seed)
     for drawpoint in range(len(openings)):
         flow_reference.draw_to(
             state,
-            mass,
+            weight,
             drawpoint,
             8.0 * (drawpoint + 1),
             exponent,
@@ -121,17 +138,17 @@ def test_cells_are_kept_at_every_void_step(layout, exponent, bulking, seed):
 @settings(deadline=None, max_examples=60)
 @given(layout=layouts(), **LAWS)
 def test_kernel_keeps_cells_and_books(layout, exponent, bulking, seed):
-    code, openings, mass = layout
+    code, openings, weight = layout
     state = new_flow_state(code, openings)
     rng = np.random.default_rng(seed)
     chances = climb_chances(exponent)
-    for target in np.arange(0.0, mass.sum() + 1.0, 0.8):
+    for target in np.arange(0.0, weight.sum() / GRAVITY + 1.0, 0.8):
         for drawpoint in range(len(openings)):
-            draw_to(state, mass, drawpoint, target, chances, bulking, rng)
+            draw_to(state, weight, drawpoint, target, chances, bulking, rng)
             assert_kept(state, code)
     drawn, loosened, parked, hang_ups, _ = state.counters
     np.testing.assert_array_equal(
-        state.drawn_mass[:drawn], np.add.accumulate(mass[state.drawn_cell[:drawn]])
+        state.drawn_mass[:drawn], np.add.accumulate(weight[state.drawn_cell[:drawn]] / GRAVITY)
     )
     assert loosened == np.count_nonzero(state.zone >= 0)
     assert parked + hang_ups == np.count_nonzero(state.code == VOID)
@@ -148,15 +165,15 @@ def test_kernel_keeps_cells_and_books(layout, exponent, bulking, seed):
 @settings(deadline=None, max_examples=60)
 @given(layout=layouts(), parts=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=4), **LAWS)
 def test_splitting_a_visit_changes_nothing(layout, parts, exponent, bulking, seed):
-    code, openings, mass = layout
-    target = 0.4 * mass.sum()
+    code, openings, weight = layout
+    target = 0.4 * weight.sum() / GRAVITY
     chances = climb_chances(exponent)
     whole, split = new_flow_state(code, openings), new_flow_state(code, openings)
-    shortfall = draw_to(whole, mass, 0, target, chances, bulking, np.random.default_rng(seed))
+    shortfall = draw_to(whole, weight, 0, target, chances, bulking, np.random.default_rng(seed))
     rng = np.random.default_rng(seed)
     for part in sorted(parts):
-        draw_to(split, mass, 0, part * target, chances, bulking, rng)
-    assert draw_to(split, mass, 0, target, chances, bulking, rng) == shortfall
+        draw_to(split, weight, 0, part * target, chances, bulking, rng)
+    assert draw_to(split, weight, 0, target, chances, bulking, rng) == shortfall
     assert_same(whole, split)
 
 
@@ -171,7 +188,8 @@ def test_a_drawpoint_within_the_zone_of_another_shares_it():
     np.testing.assert_array_equal(zone_geometry(kernel, 1.0), [[5.0, 5.0], [1.0, 1.0]])
     rng = np.random.default_rng(0)
     for drawpoint in (0, 1):
-        flow_reference.draw_to(reference, np.ones(5), drawpoint, drawpoint + 1.0, 3.0, 0.0, rng)
+        cells = np.full(5, GRAVITY)
+        flow_reference.draw_to(reference, cells, drawpoint, drawpoint + 1.0, 3.0, 0.0, rng)
     assert_same(kernel, reference)
 
 
@@ -279,6 +297,7 @@ def test_zones_are_the_connected_loosened_places():
             members = state.zone_root == root
             assert (height[members] == 0.5 * (k.max() + 1)).all()
             assert (width[members] == 0.5 * max(extents)).all()
+        assert_index_follows(state)
     assert {6, 1} < counts
 
 

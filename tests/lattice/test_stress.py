@@ -15,6 +15,7 @@ from pipeline.lattice.grid import GRAVITY, levels_of
 from pipeline.lattice.stress import (
     RULES,
     S_LIMIT,
+    Moved,
     closed_form_stress,
     place_cells,
     spreading_weights,
@@ -260,8 +261,9 @@ def test_a_lost_load_stops_the_run(column, monkeypatch):
     setup = make_setup(experiment, build_block_model(experiment))
 
     def leaky(*arguments):
-        arguments[-2][:] = 1.0
-        return 2.0 * arguments[-2].sum(), 0.0
+        base_load = arguments[8]
+        base_load[:] = 1.0
+        return 2.0 * base_load.sum(), 0.0
 
     monkeypatch.setattr("pipeline.simulate.stress_sweep", leaky)
     with pytest.raises(WeightBalanceError, match=r"column: weight balance is off by 0\.5"):
@@ -272,11 +274,42 @@ def test_cells_keep_their_weight_and_take_the_friction_of_their_zone():
     code = np.array([STAGNANT, MOVEMENT, VOID, AIR, OUTSIDE, MOVEMENT], np.int8).reshape(6, 1, 1)
     cell_id = np.array([3, 0, -1, -1, -1, 1], np.int32).reshape(6, 1, 1)
     zone = np.array([-1, 1, 0, -1, -1, 0], np.int16).reshape(6, 1, 1)
-    cell_weight, cell_shed = np.array([10.0, 11, 12, 13]), np.array([0.1, 0.2, 0.3, 0.4])
-    weight, shed = np.full((2, 6, 1, 1), np.nan)
-    place_cells(code, cell_id, zone, cell_weight, cell_shed, np.array([0.7, 0.8]), weight, shed)
+    moved = Moved(cell_id, zone, np.array([0.7, 0.8]))
+    cell_weight = np.array([10.0, 11, 12, 13, 14, 15]).reshape(6, 1, 1)
+    cell_shed = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]).reshape(6, 1, 1)
+    weight, shed = place_cells(code, moved, cell_weight, cell_shed)
     np.testing.assert_array_equal(weight.ravel(), [13, 10, 0, 0, 0, 11])
     np.testing.assert_array_equal(shed.ravel(), [0.4, 0.8, 0, 0, 0, 0.7])
+    _, shed = place_cells(code, moved, cell_weight, cell_shed[:1])
+    np.testing.assert_array_equal(shed.ravel(), [0.1, 0.8, 0, 0, 0, 0.7])
+
+
+@given(lattice_states(relaxations=RELAXATIONS), st.booleans(), st.integers(0, 2**32 - 1))
+def test_a_sweep_finds_cells_that_have_moved(state, alike, seed):
+    """As one of the cells where `place_cells` puts them, bit for bit."""
+    rng = np.random.default_rng(seed)
+    granular = (state.code == STAGNANT) | (state.code == MOVEMENT)
+    cells = rng.permutation(granular.size).reshape(granular.shape)
+    cell_id = np.where(granular, cells, -1).astype(np.int32)
+    zone = np.where(granular, rng.integers(0, 2, granular.shape), -1).astype(np.int16)
+    moved = Moved(cell_id, zone, rng.random(2))
+    cell_shed = state.shed_fraction[:1, :1, :1] if alike else state.shed_fraction
+    weight, shed = place_cells(state.code, moved, state.weight, cell_shed)
+    expected = sweep(replace(state, weight=weight, shed_fraction=shed))
+    found = sweep(replace(state, shed_fraction=cell_shed), moved=moved)
+    np.testing.assert_array_equal(found.base_load, expected.base_load)
+    np.testing.assert_array_equal(found.load, expected.load)
+    assert (found.total_weight, found.shed) == (expected.total_weight, expected.shed)
+
+
+@given(lattice_states(), st.floats(0.0, 1.0))
+def test_one_shed_fraction_stands_for_all(state, shed):
+    one, each = (
+        sweep(replace(state, shed_fraction=np.full(shape, shed)))
+        for shape in ((1, 1, 1), state.code.shape)
+    )
+    np.testing.assert_array_equal(one.load, each.load)
+    assert one.shed == each.shed
 
 
 @pytest.mark.parametrize(
