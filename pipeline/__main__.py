@@ -21,7 +21,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         Exit status: 0, or 1 after what is wrong with the user's files has been printed.
     """
-    parser = argparse.ArgumentParser(prog="python -m pipeline", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m pipeline",
+        description="What a user does beside running the workflow; docs/tutorial.md shows it.",
+    )
     choices = parser.add_subparsers(metavar="COMMAND", required=True)
     for name, module in commands().items():
         summary, _, details = module.__doc__.partition("\n")

@@ -7,25 +7,30 @@ from pathlib import Path
 
 from pipeline.config.messages import shown_path
 
-REPOSITORY = Path(__file__).parents[2]
+REPOSITORY = Path(__file__).resolve().parents[2]
 OWN = Path("workflow_configs")
 """What the repository runs by itself, in its folders ``experiments`` and ``studies``."""
 
 
-def experiments_folder(path: Path) -> Path:
-    """Folder of the experiments that a study or a measured table refers to.
+def experiments_of_study(path: Path) -> Path:
+    """Folder of the experiments that a study's file names.
 
-    It is the folder ``experiments`` beside a folder ``studies``, as in the repository, or the
-    repository's own where there is none; the folder above a folder ``measured``; for anything else
-    the file's own.
+    It is the folder ``experiments`` beside the study's, or the repository's where there is none.
+    """
+    beside = path.absolute().parent.with_name("experiments")
+    return beside if beside.is_dir() else REPOSITORY / OWN / "experiments"
+
+
+def experiments_of_table(path: Path) -> Path:
+    """Folder of the experiments that a measured table names.
+
+    It is the folder above a folder ``measured``, that of the studies' experiments for a table in a
+    folder ``studies``, or else the table's own.
     """
     folder = path.absolute().parent
-    if folder.name == "measured":
-        return folder.parent
     if folder.name == "studies":
-        beside = folder.with_name("experiments")
-        return beside if beside.is_dir() else REPOSITORY / OWN / "experiments"
-    return folder
+        return experiments_of_study(path)
+    return folder.parent if folder.name == "measured" else folder
 
 
 def run_command(path: Path, experiments: Path | None = None) -> str:

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
-from pipeline.commands._places import experiments_folder
+from pipeline.commands._places import experiments_of_study, experiments_of_table
 from pipeline.config.experiment import Experiment
 from pipeline.config.load import (
     check_measured,
@@ -44,14 +45,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--experiments",
         type=Path,
         metavar="DIR",
-        help="folder of the experiments that studies and tables name (default: experiments beside "
-        "the folder studies, or the repository's own; the folder above measured; else the file's)",
+        help="folder of the experiments that studies and tables name (default: for a study the "
+        "folder experiments beside its own, or else the repository's; for a table the folder above "
+        "measured, or else its own)",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Check all files; ConfigError with what is wrong in any of them."""
     found: list[tuple[Path, str]] = []
+    experiments_in = cache(load_experiments)
     for path in arguments.paths:
         todo = [path]
         try:
@@ -61,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
             continue
         for file in todo:
             try:
-                said, table = _checked(file, arguments.experiments)
+                said, table = _checked(file, arguments.experiments, experiments_in)
             except ConfigError as error:
                 found += error.problems
                 continue
@@ -89,7 +92,9 @@ def _is(file: Path, suffixes: tuple[str, ...]) -> bool:
     return file.suffix.lower() in suffixes
 
 
-def _checked(path: Path, experiments: Path | None) -> tuple[str, Path | None]:
+def _checked(
+    path: Path, experiments: Path | None, experiments_in: Callable[[Path], dict[str, Experiment]]
+) -> tuple[str, Path | None]:
     """What a sound file holds, in a line, and the table that it names."""
     if not path.is_file():
         others = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
@@ -97,13 +102,14 @@ def _checked(path: Path, experiments: Path | None) -> tuple[str, Path | None]:
         hint = did_you_mean(path.name, names, "beside it are")
         raise ConfigError([(path, f"no such file{hint}")])
     if _is(path, TABLE):
-        return _table(path, experiments or experiments_folder(path)), None
+        return _table(path, experiments or experiments_of_table(path)), None
     if not _is(path, YAML):
         text = "expected an experiment or a study (.yaml), or a measured table (.csv or .nc)"
         raise ConfigError([(path, text)])
     if kind_of(path) is Study:
         study = load_study(path)
-        return _study(study, experiments or experiments_folder(path)), study.data_path
+        known = experiments_in(experiments or experiments_of_study(path))
+        return _study(study, known), study.data_path
     experiment = load_with_sources(path)
     return _experiment(experiment), experiment.measured_path
 
@@ -119,8 +125,7 @@ def _experiment(experiment: Experiment) -> str:
     )
 
 
-def _study(study: Study, folder: Path) -> str:
-    experiments = load_experiments(folder)
+def _study(study: Study, experiments: Mapping[str, Experiment]) -> str:
     if found := list(study_problems(study, experiments)):
         raise ConfigError(found)
     rows = study_rows(study, experiments)

@@ -21,7 +21,7 @@ from pipeline.commands._places import (
     OWN,
     REPOSITORY,
     check_command,
-    experiments_folder,
+    experiments_of_study,
     run_command,
 )
 from pipeline.config.commented import commented
@@ -91,9 +91,10 @@ def run(arguments: argparse.Namespace) -> int:
     folder = REPOSITORY / OWN / kind if arguments.dir is None else arguments.dir
     path = folder / f"{arguments.name}.yaml"
     _check_name(path, arguments.name)
+    _check_experiments(arguments)
     experiments = None
     if arguments.study:
-        experiments = arguments.experiments or experiments_folder(path)
+        experiments = arguments.experiments or experiments_of_study(path)
         files = {path: _study(path, arguments.study, experiments)}
     else:
         table = folder / "measured" / f"{arguments.name}.csv"
@@ -201,6 +202,17 @@ def _check_name(path: Path, name: str) -> None:
         _check_free(taken)
 
 
+def _check_experiments(arguments: argparse.Namespace) -> None:
+    if arguments.experiments is None:
+        return
+    if not arguments.study:
+        text = "--experiments says where a study's experiments are; name them after --study"
+        raise ConfigError([(arguments.experiments, text)])
+    if arguments.dir is None:
+        text = "the repository's studies are of its own experiments; give --dir too"
+        raise ConfigError([(arguments.experiments, text)])
+
+
 def _check_free(path: Path) -> None:
     try:
         taken = path.exists()
@@ -224,7 +236,7 @@ def _schema_path(folder: Path, model: type[BaseModel]) -> str:
     """The schema as seen from a folder: the repository's, or outside of it a copy beside."""
     name = f"{model.__name__.lower()}.schema.json"
     if _is_in_repository(folder):
-        return Path(os.path.relpath(FOLDER / name, folder.resolve())).as_posix()
+        return Path(os.path.relpath(FOLDER.resolve() / name, folder.resolve())).as_posix()
     return f"schema/{name}"
 
 

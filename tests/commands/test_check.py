@@ -74,8 +74,8 @@ def test_rows_that_no_experiment_reads_are_told(mine, call):
 
 
 def test_studies_and_tables_elsewhere_find_their_experiments_where_they_are_told(mine, call):
-    lone = mine / "elsewhere"
-    lone.mkdir()
+    lone = mine / "else" / "where"
+    lone.mkdir(parents=True)
     shutil.copy(mine / "studies" / "loop.yaml", lone)
     shutil.copy(mine / "experiments" / "measured" / "box.csv", lone)
     assert call("check", lone / "loop.yaml", lone / "box.csv").status == 1

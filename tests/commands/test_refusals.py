@@ -125,6 +125,16 @@ CASES = {  # name: (what is there, words, what the error has)
         (*STUDY, "--study", "box", "--experiments", "other"),
         ["other", "holds no experiments"],
     ),
+    "experiments_without_study": (
+        (),
+        (*NEW, "--experiments", "mine/experiments"),
+        ["mine/experiments", "name them after --study"],
+    ),
+    "study_of_others_in_the_repository": (
+        (),
+        ("new", "dig", "--study", "box", "--experiments", "mine/experiments"),
+        ["mine/experiments", "give --dir too"],
+    ),
     "study_with_experiments_nowhere": (
         (),
         (*STUDY, "--study", "box", "--experiments", "nowhere"),
