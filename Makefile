@@ -1,13 +1,16 @@
-# `make` sets everything up and runs the main job; `make test` sets everything up and tests it.
+# `make` sets everything up and runs the main job; `make test` sets everything up and tests it;
+# `make setup` does no more than that.
 PYTHON ?= python3
 VENV := .venv
 TARGETS ?=
 PYTEST_ARGS ?= -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: run test clean
+.PHONY: run setup test clean
 
 run: $(VENV)/installed
 	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" python -m pipeline.workflow.run $(TARGETS)
+
+setup: $(VENV)/installed
 
 test: $(VENV)/installed-test
 	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" python -m pytest $(PYTEST_ARGS)

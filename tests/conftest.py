@@ -1,6 +1,7 @@
 """Shared by all tests: the hypothesis profile and experiments made from a few words."""
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,10 @@ from pipeline.config.experiment import Experiment
 from pipeline.config.load import load_experiment
 
 REPOSITORY = Path(__file__).parents[1]
+JARGON = re.compile(
+    r"pydantic|Input should|Field required|Extra inputs|type=|input_value|https?://|validation "
+    r"error|Value error|\bNone\b|\bdict\b|\btuple\b|\bfloat\b|Traceback|yaml\.|<class"
+)
 
 settings.register_profile(
     "suite",
@@ -60,3 +65,17 @@ def published():
         return Experiment.model_validate(merged(declared, changes)).at(experiment.path)
 
     return load
+
+
+@pytest.fixture(scope="session")
+def assert_in_house_style():
+    """Asserts a path line, then indented problems, without the words of the libraries below."""
+
+    def check(text: str) -> None:
+        first, *problems = text.split("\n")
+        assert not first.startswith(" ")
+        assert problems
+        assert not JARGON.search(text), text
+        assert all(len(line) < 400 for line in text.split("\n"))
+
+    return check

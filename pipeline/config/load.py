@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from pipeline.config.comparison import Comparison, comparison_problems
 from pipeline.config.experiment import DRAW_PARAMETERS, Experiment
-from pipeline.config.measured import MeasuredError, MeasuredRow, read_measured
+from pipeline.config.measured import MeasuredError, MeasuredRow, read_measured, rows_by_name
 from pipeline.config.messages import NAME_PATTERN, ConfigError, did_you_mean, problems, shown_path
 from pipeline.config.study import HeldOutLoadCells, HeldOutTail, Study
 
@@ -113,8 +113,15 @@ def _yaml_files(folder: Path) -> list[Path]:
 
 
 def _load(model: type[BaseModel], path: Path) -> Any:
+    return validated(model, _read_mapping(Path(path)), path)
+
+
+def validated(model: type[BaseModel], raw: dict, path: Path) -> Any:
+    """The experiment or study that the content of the file ``path`` is.
+
+    Raises ConfigError with every problem of it; other files are not looked at.
+    """
     path = Path(path)
-    raw = _read_mapping(path)
     found = []
     if not re.fullmatch(NAME_PATTERN.strip("^$"), path.stem):
         text = "the file's name names the results; expected letters, digits, _ and -"
@@ -156,6 +163,20 @@ def load_study(path: Path) -> Study:
     return study
 
 
+def load_with_sources(path: Path) -> Experiment:
+    """As ``load_experiment``; checked too are the files beside it that its stress comes from."""
+    path = Path(path)
+    chain, following = {}, path
+    while following is not None and following.stem not in chain:
+        experiment = load_experiment(following)
+        chain[experiment.name] = experiment
+        beside = {other.stem: other for other in _yaml_files(path.parent)}
+        following = beside.get(experiment.stress.from_)
+    if found := list(_broken_references(chain, beside)):
+        raise ConfigError(found)
+    return chain[path.stem]
+
+
 def load_experiments(folder: Path) -> dict[str, Experiment]:
     """All experiments (*.yaml, *.yml) of a folder by name, sorted.
 
@@ -169,6 +190,19 @@ def load_experiments(folder: Path) -> dict[str, Experiment]:
     return experiments
 
 
+def kind_of(path: Path) -> type[Experiment] | type[Study]:
+    """What a YAML file means to be: judged by its keys, or else by the name of its folder."""
+    raw = _read_mapping(Path(path))
+    known = {
+        model: {field.alias or name for name, field in model.model_fields.items()}
+        for model in (Experiment, Study)
+    }
+    as_experiment, as_study = (len(keys & raw.keys()) for keys in known.values())
+    if as_experiment == as_study:
+        return Study if Path(path).absolute().parent.name == "studies" else Experiment
+    return Study if as_study > as_experiment else Experiment
+
+
 def load_studies(
     folder: Path, experiments: Mapping[str, Experiment] | None = None
 ) -> dict[str, Study]:
@@ -179,7 +213,7 @@ def load_studies(
     """
     studies, found = _load_each(_files_of(folder, "studies"), load_study)
     for study in studies.values() if experiments is not None else ():
-        found += _study_problems(study, experiments)
+        found += study_problems(study, experiments)
     if found:
         raise ConfigError(found)
     return studies
@@ -213,6 +247,52 @@ def check_measured(experiment: Experiment) -> tuple[MeasuredRow, ...]:
         where = f"measured = {experiment.measured}"
         raise ConfigError([(experiment.path, _no_such_file(where, experiment.measured_path))])
     return _read_rows(experiment.measured_path, experiment)
+
+
+def study_rows(
+    study: Study, experiments: Mapping[str, Experiment]
+) -> dict[str, tuple[MeasuredRow, ...]]:
+    """Measured rows of each of the study's experiments, from its own table where it has one."""
+    return {
+        name: check_measured(experiments[name])
+        if study.data is None
+        else _read_rows(study.data_path, experiments[name])
+        for name in study.experiments
+    }
+
+
+def check_table(path: Path, folder: Path) -> tuple[dict[str, int], dict[str, int]]:
+    """Check a measured table with the experiments of a folder.
+
+    Returns
+    -------
+    read, unknown : the number of rows of each experiment in the folder, and of each other name
+
+    Raises
+    ------
+    ConfigError
+        With every problem of the table and of the experiments that it names, or when it names no
+        experiment of the folder.
+    """
+    try:
+        counts = rows_by_name(path)
+    except MeasuredError as error:
+        raise ConfigError((error.path, text) for text in error.problems) from None
+    files = {file.stem: file for file in _yaml_files(folder)} if folder.is_dir() else {}
+    read = {name: count for name, count in counts.items() if name in files}
+    if not read:
+        hint = did_you_mean(next(iter(counts)), files, "experiments there:")
+        text = f"experiment = {', '.join(counts)}: no such experiment in {shown_path(folder)}{hint}"
+        raise ConfigError([(path, text)])
+    found = []
+    for name in read:
+        try:
+            _read_rows(path, _load(Experiment, files[name]))
+        except ConfigError as error:
+            found += error.problems
+    if found:
+        raise ConfigError(found)
+    return read, {name: count for name, count in counts.items() if name not in files}
 
 
 def resolved(settings: BaseModel) -> dict:
@@ -304,7 +384,7 @@ def _broken_references(
                     yield experiment.path, f"{key}: missing here and in {start}; draw needs it"
 
 
-def _study_problems(
+def study_problems(
     study: Study, experiments: Mapping[str, Experiment]
 ) -> Iterator[tuple[Path, str]]:
     known = {name: experiments[name] for name in study.experiments if name in experiments}
@@ -363,10 +443,7 @@ def _hold_out_problems(
 def _data_problems(study: Study, experiments: Mapping[str, Experiment]) -> Iterator[str]:
     """Whether what is not held out can carry the study's parameters."""
     try:
-        rows = {
-            name: check_measured(one) if study.data is None else _read_rows(study.data_path, one)
-            for name, one in experiments.items()
-        }
+        rows = study_rows(study, experiments)
     except ConfigError:
         return  # said of the table itself
     kept = {n: [r for r in own if not is_held_out(study, n, r)] for n, own in rows.items()}

@@ -1,39 +1,29 @@
 """The table of measured values beside an experiment: CSV, or netCDF with the same names.
 
 Read while the workflow is parsed, so only the standard library is imported (netCDF4 for a .nc
-table alone). One row is one value of one quantity at one place and time:
-
-==============  ======================================================================
-experiment      name of the experiment that the row belongs to
-load_cell       empty: mean over the whole base
-fill_height     m; empty: full
-mass_drawn      kg, all drawpoints together; empty: before draw
-quantity        see ``QUANTITIES``
-value           kPa, m or a ratio
-std             one standard deviation of what is independent from reading to reading
-std_shared      of what all readings of that load cell share; empty: 0
-count           number of packings averaged; empty: std already holds their scatter
-==============  ======================================================================
+table alone). One row is one value of one quantity at one place and time, in ``COLUMNS``.
 """
 
 import csv
 import difflib
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-COLUMNS = (
-    "experiment",
-    "load_cell",
-    "fill_height",
-    "mass_drawn",
-    "quantity",
-    "value",
-    "std",
-    "std_shared",
-    "count",
-)
+COLUMNS = {
+    "experiment": "name of the experiment that the row belongs to",
+    "load_cell": "name of the load cell; empty: mean over the whole base",
+    "fill_height": "m; empty: full",
+    "mass_drawn": "kg from all drawpoints together; empty: before draw or static",
+    "quantity": "what the value is of; it gives the unit",
+    "value": "in the unit of its quantity",
+    "std": "one standard deviation of what is independent from reading to reading",
+    "std_shared": "one of what all readings of that load cell share; empty: 0",
+    "count": "number of packings averaged; empty: std already holds their scatter",
+}
+"""Columns and what stands in them."""
 REQUIRED_COLUMNS = ("experiment", "quantity", "value", "std")
 QUANTITIES = {
     "vertical_stress": "kPa",
@@ -47,6 +37,7 @@ QUANTITIES = {
 _OF_THE_BASE = ("vertical_stress_spatial_std", "movement_zone_height", "movement_zone_width")
 _OF_DRAW = ("vertical_stress_ratio", "movement_zone_height", "movement_zone_width")
 _LARGEST_STRESS = 1e5  # kPa; no granular model bears more, so such a value is in Pa
+_COMMENT = ("#", '"#')  # spreadsheets put a comment that holds a comma in quotes
 _MERGE = 1e-9  # relative distance within which two readings are one
 
 
@@ -99,7 +90,7 @@ def read_measured(path: Path, experiment) -> tuple[MeasuredRow, ...]:
         With every problem of the table, or when no row belongs to the experiment.
     """
     path = Path(path)
-    table = _read_netcdf(path) if path.suffix.lower() == ".nc" else _read_csv(path)
+    table = _read(path)
     problems: list[str] = []
     rows: list[MeasuredRow] = []
     first: dict[tuple, int] = {}
@@ -142,6 +133,22 @@ def read_measured(path: Path, experiment) -> tuple[MeasuredRow, ...]:
     if problems:
         raise MeasuredError(path, problems)
     return tuple(rows)
+
+
+def rows_by_name(path: Path) -> dict[str, int]:
+    """Number of rows of each experiment that a measured table names, in the table's order.
+
+    Raises
+    ------
+    MeasuredError
+        When it cannot be read as a table, or names no experiment.
+    """
+    rows = [cells for _, cells in _read(Path(path))]
+    names = Counter(cells["experiment"] for cells in rows if not isinstance(cells, str))
+    if not any(names):
+        problems = [cells for cells in rows if isinstance(cells, str)]
+        raise MeasuredError(path, problems or ["no row names its experiment"])
+    return dict(names)
 
 
 def fill_levels(experiment, rows: Iterable[MeasuredRow] = ()) -> tuple[float, ...]:
@@ -337,6 +344,10 @@ class _RowReader:
 # the table
 
 
+def _read(path: Path) -> Iterator[tuple[int, dict[str, str] | str]]:
+    return _read_netcdf(path) if path.suffix.lower() == ".nc" else _read_csv(path)
+
+
 def _read_csv(path: Path) -> Iterator[tuple[int, dict[str, str] | str]]:
     """(line, cells by column) of each row; in place of the cells, what is wrong with the row."""
     try:
@@ -351,7 +362,7 @@ def _read_csv(path: Path) -> Iterator[tuple[int, dict[str, str] | str]]:
     lines = [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
+        if line.strip() and not line.lstrip().startswith(_COMMENT)
     ]
     if not lines:
         raise MeasuredError(path, [f"empty; expected the columns {_listed(COLUMNS)}"])

@@ -1,27 +1,6 @@
-"""What every message about a user's file has in common."""
-
-import re
+"""What a user is told of bad files."""
 
 import pytest
-
-JARGON = re.compile(
-    r"pydantic|Input should|Field required|Extra inputs|type=|input_value|https?://|validation "
-    r"error|Value error|\bNone\b|\bdict\b|\btuple\b|\bfloat\b|Traceback|yaml\.|<class"
-)
-
-
-@pytest.fixture(scope="session")
-def assert_in_house_style():
-    """Asserts a path line, then indented problems, without the words of the libraries below."""
-
-    def check(text: str) -> None:
-        first, *problems = text.split("\n")
-        assert not first.startswith(" ")
-        assert problems
-        assert not JARGON.search(text), text
-        assert all(len(line) < 400 for line in text.split("\n"))
-
-    return check
 
 
 @pytest.fixture

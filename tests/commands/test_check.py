@@ -1,0 +1,108 @@
+"""`python -m pipeline check`: a line for what is sound, all that is wrong otherwise, and fast."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+CORPUS = Path(__file__).parents[1] / "config" / "bad"
+EXPERIMENTS = sorted((CORPUS / "experiments").glob("*/*.yaml"))
+STUDIES = sorted((CORPUS / "studies").glob("*.yaml"))
+TABLES = sorted((CORPUS / "experiments").glob("*/measured/*.csv"))
+OTHERS_ONLY = "other_experiments_only"  # told in other words where the table itself is checked
+
+
+def expectations(path: Path) -> list[str]:
+    lines = path.read_bytes().decode("utf-8", "replace").splitlines()
+    return [line.removeprefix("# expect: ") for line in lines if line.startswith("# expect: ")]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [*EXPERIMENTS, *STUDIES, *(table for table in TABLES if table.stem != OTHERS_ONLY)],
+    ids=lambda path: path.stem,
+)
+def test_what_the_workflow_refuses_is_refused(path, call, assert_in_house_style):
+    answer = call("check", path)
+    assert (answer.status, answer.out) == (1, "")
+    assert_in_house_style(answer.err.rstrip("\n"))
+    assert expectations(path)
+    for text in expectations(path):
+        assert text in answer.err
+
+
+def test_a_line_says_what_each_sound_file_holds(mine, call):
+    answer = call("check", "mine")
+    assert (answer.status, answer.err) == (0, "")
+    assert answer.out.splitlines() == [
+        "mine/experiments/box.yaml: static experiment, 1536 cells, 12 measured values, "
+        "20 replicates",
+        "mine/studies/loop.yaml: study of 1 experiment, 12 measured values, 2 held out",
+        "mine/experiments/measured/box.csv: 12 values of box",
+    ]
+
+
+def test_problems_of_several_files_come_together_and_sound_files_are_still_told(mine, call):
+    folder = mine / "experiments"
+    for name, change in (("steep", "E: 95"), ("flat", "E: 0")):
+        text = (folder / "box.yaml").read_text("utf-8").replace("E: 0.95", change)
+        (folder / f"{name}.yaml").write_text(text.replace("measured: ", "#measured: "), "utf-8")
+    answer = call("check", folder)
+    assert answer.status == 1
+    assert [line.split(":")[0] for line in answer.out.splitlines()] == [
+        "mine/experiments/box.yaml",
+        "mine/experiments/measured/box.csv",
+    ]
+    assert [line for line in answer.err.splitlines() if not line.startswith(" ")] == [
+        "mine/experiments/flat.yaml",
+        "mine/experiments/steep.yaml",
+    ]
+    assert "did you mean 0.95?" in answer.err
+
+
+def test_rows_that_no_experiment_reads_are_told(mine, call):
+    table = mine / "experiments" / "measured" / "box.csv"
+    text = table.read_text("utf-8")
+    table.write_text(text.replace("box,C6", "bux,C6"), "utf-8")
+    answer = call("check", table)
+    assert answer.status == 0
+    assert (
+        "10 values of box; not read, as there is no experiment bux: 2 rows; did you" in answer.out
+    )
+
+
+def test_studies_and_tables_elsewhere_find_their_experiments_where_they_are_told(mine, call):
+    lone = mine / "else" / "where"
+    lone.mkdir(parents=True)
+    shutil.copy(mine / "studies" / "loop.yaml", lone)
+    shutil.copy(mine / "experiments" / "measured" / "box.csv", lone)
+    assert call("check", lone / "loop.yaml", lone / "box.csv").status == 1
+    told = ("--experiments", mine / "experiments")
+    assert call("check", lone / "loop.yaml", lone / "box.csv", *told).status == 0
+
+
+def test_a_study_beside_no_experiments_means_the_repository_s(mine, call, repository):
+    studies = mine / "alone" / "studies"
+    studies.mkdir(parents=True)
+    shutil.copy(repository / "workflow_configs" / "studies" / "dem_columns.yaml", studies)
+    answer = call("check", studies)
+    assert answer.status == 0
+    assert "study of 6 experiments, 29 measured values, each experiment held out" in answer.out
+
+
+def test_the_repository_s_own_files_and_the_contract_s_are_sound(call, repository):
+    answer = call("check", repository / "workflow_configs")
+    assert (answer.status, answer.err) == (0, "")
+    assert call("check", repository / "tests" / "contract" / "experiments").status == 0
+
+
+def test_a_check_loads_neither_numba_nor_xarray(mine):
+    code = (
+        "import sys; from pipeline.__main__ import main; status = main(['check', 'mine']); "
+        "print(status, sorted({'numba', 'numpy', 'xarray', 'scipy'} & set(sys.modules)))"
+    )
+    command = [sys.executable, "-c", code]
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert process.stdout.splitlines()[-1] == "0 []"
