@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from pipeline.compare.comparison import SIDES
 from pipeline.config.experiment import Experiment
@@ -20,6 +21,7 @@ from pipeline.report.page import (
     Data,
     Figure,
     Link,
+    Number,
     Table,
     decimals_of,
     parts,
@@ -93,13 +95,15 @@ def write_index(
     numbers: str | Path,
     studies: Mapping[str, str | Path] | None = None,
     comparisons: Iterable[str | Path] = (),
+    blind_scores: str | Path | None = None,
 ) -> None:
     """Write the index page and `index.json`, which holds every number on it.
 
     The first four are in the same order: experiments, their `calibration.json`,
     `validation.json` and `report.html`. `flow_law` is the figure of the flow kernel's own check,
     with its numbers beside it; the page shows it. `studies` are their `closed_loop.json` by name,
-    each beside its `report.html`; `comparisons` are `comparison.json`, likewise.
+    each beside its `report.html`; `comparisons` are `comparison.json`, likewise, and
+    `blind_scores` is the `scores.json` of a blind benchmark, where one was run.
     """
     folder = Path(page).parent
     entries = [
@@ -121,10 +125,14 @@ def write_index(
         read_json(path) | {"link": _link(Path(path).with_name("report.html"), folder)}
         for path in comparisons
     ]
+    blind = None
+    if blind_scores is not None:
+        link = _link(Path(blind_scores).with_name("report.html"), folder)
+        blind = blind_summary(read_json(blind_scores) | {"link": link})
     data = Data()
     with panel_style():
         html = index_page(
-            entries, closed, compared, data, Path(numbers).name, _link(flow_law, folder)
+            entries, closed, compared, blind, data, Path(numbers).name, _link(flow_law, folder)
         )
     write_json(
         numbers,
@@ -133,6 +141,7 @@ def write_index(
             "experiments": [summary(entry) for entry in entries],
             "studies": [study_summary(found) for found in closed],
             "comparisons": [comparison_summary(found) for found in compared],
+            "blind_benchmark": blind,
             "data": data.to_records(),
         },
     )
@@ -194,10 +203,44 @@ def _link(path: str | Path, folder: Path) -> str:
     return Path(os.path.relpath(path, folder)).as_posix()
 
 
+def blind_summary(scores: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page says of the blind benchmark, for scripts."""
+    bars = [bar["met"] for bar in scores["bars"] if bar["met"] is not None]
+    return {
+        "report": scores["link"],
+        "commit": scores["commit"],
+        "date": scores["date"],
+        "worlds": scores["worlds"],
+        "bars": len(bars),
+        "bars_met": sum(bars),
+        "is_scored": scores["seed_is_the_commits"],
+    }
+
+
+def blind_sentence(blind: Mapping[str, Any], data: Data) -> Markup:
+    """What was run, with a link to its page."""
+
+    def count(name: str) -> Number:
+        return data.number("blind benchmark", "", name, blind[name], 0)
+
+    return parts(
+        "The loop on data with undeclared effects in them: {}, {} worlds, {} of {} bars met "
+        "(commit {}, {}{}).",
+        Link("the blind benchmark", blind["report"]),
+        count("worlds"),
+        count("bars_met"),
+        count("bars"),
+        blind["commit"][:7],
+        blind["date"],
+        "" if blind["is_scored"] else "; tuning worlds, which score nothing",
+    )
+
+
 def index_page(
     entries: Sequence[Entry],
     studies: Sequence[Mapping[str, Any]],
     comparisons: Sequence[Mapping[str, Any]],
+    blind: Mapping[str, Any] | None,
     data: Data,
     numbers: str,
     flow_law: str,
@@ -205,7 +248,7 @@ def index_page(
     """HTML of the index.
 
     `studies` and `comparisons` are their closed_loop.json and comparison.json with a `link` to
-    their page.
+    their page; `blind` is what `blind_summary` makes of a benchmark.
     `numbers` and `flow_law` are links from it to these files.
     """
     static = [entry for entry in entries if not entry.experiment.is_draw]
@@ -230,6 +273,7 @@ def index_page(
         draw=draw_table(draw, data) if draw else None,
         studies=study_table(studies, data) if studies else None,
         comparisons=comparison_table(comparisons, data) if comparisons else None,
+        blind=blind_sentence(blind, data) if blind else None,
         transmission=transmission_table(own_E, data) if own_E else None,
         figures=[figure for figure in figures if figure],
         numbers=numbers,

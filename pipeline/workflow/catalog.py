@@ -84,6 +84,11 @@ class Catalog:
             parts.append(hashlib.sha256(experiment.mask_path.read_bytes()).hexdigest())
         return _sha256("".join(parts))
 
+    def blind_scores(self) -> list[str]:
+        """Path of a blind benchmark's `scores.json` and its digest; nothing where none was run."""
+        path = Path(self.results, "blind_benchmark", "scores.json")
+        return [str(path), hashlib.sha256(path.read_bytes()).hexdigest()] if path.is_file() else []
+
     def source_calibration(self, name: str) -> list[str]:
         """`calibration.json` of the experiment that `stress: {from: NAME}` refers to, if any."""
         source = self.experiments[name].stress.from_

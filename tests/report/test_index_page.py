@@ -5,7 +5,7 @@ import re
 import pytest
 from pages import shown_numbers
 
-from pipeline.files.atomic import read_json
+from pipeline.files.atomic import read_json, write_json
 from pipeline.report.index import write_index
 
 
@@ -13,7 +13,7 @@ from pipeline.report.index import write_index
 def index(tmp_path):
     """index(made, ...): HTML and JSON of an index of these experiments."""
 
-    def make(*made, comparisons=()):
+    def make(*made, comparisons=(), blind_scores=None):
         def files(name):
             return [entry.folder / name for entry in made]
 
@@ -27,6 +27,7 @@ def index(tmp_path):
             page,
             numbers,
             comparisons=[entry.folder / "comparison.json" for entry in comparisons],
+            blind_scores=blind_scores,
         )
         return page.read_text("utf-8"), read_json(numbers)
 
@@ -87,6 +88,19 @@ def test_errors_tell_fitted_values_from_others(index, static, draw):
 
 def test_the_same_results_give_the_same_bytes(index, static, draw):
     assert index(static, draw) == index(static, draw)
+
+
+def test_a_blind_benchmark_is_linked_with_its_bars(index, static, tmp_path):
+    scores = tmp_path / "blind_benchmark" / "scores.json"
+    content = {"commit": "0123456789", "date": "2026-11-25", "worlds": 40}
+    bars = [{"met": True}, {"met": True}, {"met": False}, {"met": None}]
+    write_json(scores, content | {"bars": bars, "seed_is_the_commits": False})
+    html, numbers = index(static, blind_scores=scores)
+    assert 'href="blind_benchmark/report.html"' in html
+    assert "tuning worlds" in html
+    blind = numbers["blind_benchmark"]
+    assert (blind["worlds"], blind["bars_met"], blind["bars"]) == (40, 2, 3)
+    assert index(static)[1]["blind_benchmark"] is None
 
 
 def test_comparisons_are_linked_with_peak_and_time_above(index, static, comparison, tmp_path):

@@ -26,6 +26,7 @@ rule index:
         files=[CATALOG.file(name) for name in CATALOG.experiments],
         settings=[CATALOG.settings(name) for name in CATALOG.experiments],
         studies=list(CATALOG.studies),
+        blind_scores=CATALOG.blind_scores(),
         code=source_digest("index"),
     message:
         "index"

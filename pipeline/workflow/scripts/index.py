@@ -15,4 +15,5 @@ write_index(
     snakemake.output.numbers,
     dict(zip(snakemake.params.studies, snakemake.input.studies, strict=True)),
     snakemake.input.comparisons,
+    snakemake.params.blind_scores[0] if snakemake.params.blind_scores else None,
 )
