@@ -2,7 +2,7 @@
 
 Prints a line for each sound file. Of the others it says, all at once, where, what and what would
 be right; the exit status is then 1. A folder stands for the YAML files in its folders experiments
-and studies, or else for its own, and for the tables that they name.
+and studies, or else for its own, and for the tables that experiments name.
 """
 
 from __future__ import annotations
@@ -56,21 +56,22 @@ def run(arguments: argparse.Namespace) -> int:
     found: list[tuple[Path, str]] = []
     experiments_in = cache(load_experiments)
     for path in arguments.paths:
-        todo = [path]
         try:
-            todo = list(_files(path))
+            todo = dict.fromkeys(_files(path), arguments.experiments)
         except ConfigError as error:
             found += error.problems
             continue
-        for file in todo:
-            try:
-                said, table = _checked(file, arguments.experiments, experiments_in)
-            except ConfigError as error:
-                found += error.problems
-                continue
-            print(f"{shown_path(file)}: {said}", flush=True)
-            if path.is_dir() and table is not None and table not in todo:
-                todo.append(table)
+        tables: dict[Path, Path] = {}  # that a folder's experiments name, and the folder
+        for files in (todo, tables):
+            for file, folder in files.items():
+                try:
+                    said, table = _checked(file, folder, experiments_in)
+                except ConfigError as error:
+                    found += error.problems
+                    continue
+                print(f"{shown_path(file)}: {said}", flush=True)
+                if path.is_dir() and table is not None:
+                    tables.setdefault(table, file.parent)
     if found:
         raise ConfigError(found)
     return 0
@@ -95,7 +96,7 @@ def _is(file: Path, suffixes: tuple[str, ...]) -> bool:
 def _checked(
     path: Path, experiments: Path | None, experiments_in: Callable[[Path], dict[str, Experiment]]
 ) -> tuple[str, Path | None]:
-    """What a sound file holds, in a line, and the table that it names."""
+    """What a sound file holds, in a line, and the measured table that an experiment names."""
     if not path.is_file():
         others = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
         names = [one.name for one in others if _is(one, YAML + TABLE)]
@@ -108,8 +109,7 @@ def _checked(
         raise ConfigError([(path, text)])
     if kind_of(path) is Study:
         study = load_study(path)
-        known = experiments_in(experiments or experiments_of_study(path))
-        return _study(study, known), study.data_path
+        return _study(study, experiments_in(experiments or experiments_of_study(path))), None
     experiment = load_with_sources(path)
     return _experiment(experiment), experiment.measured_path
 

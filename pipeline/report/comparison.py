@@ -51,7 +51,7 @@ class Document:
         return np.array(found, dtype=np.float64)
 
     def drawpoints(self, side: str) -> list[Area]:
-        """Drawpoints of the first, or of the second, or those that both share."""
+        """Drawpoints of one side."""
         described = self.content["experiments"][SIDES.index(side)]
         return [(one["name"], *_place(one)) for one in described["drawpoints"]]
 
@@ -153,7 +153,11 @@ def experiment_table(document: Document, data: Data) -> Table:
     """The two experiments, with links to their pages."""
     table = Table(
         "experiments",
-        "What is compared. Time is the mass drawn.",
+        parts(
+            "What is compared. Time is the mass drawn. The threshold, {} MPa, is a choice of the "
+            "comparison's file, not a strength.",
+            data.number("experiments", "", "threshold", document.threshold, unit="MPa"),
+        ),
         ["Experiment", "Title", "Stress is", "Replicates", "Load cells", "Drawpoints"],
         data,
     )

@@ -83,6 +83,16 @@ def test_studies_and_tables_elsewhere_find_their_experiments_where_they_are_told
     assert call("check", lone / "loop.yaml", lone / "box.csv", *told).status == 0
 
 
+def test_a_folder_s_tables_may_be_anywhere(mine, call):
+    table = mine / "experiments" / "measured" / "box.csv"
+    table.rename(mine / "readings.csv")
+    box = mine / "experiments" / "box.yaml"
+    box.write_text(box.read_text("utf-8").replace("measured/box.csv", "../readings.csv"), "utf-8")
+    answer = call("check", mine / "experiments")
+    assert (answer.status, answer.err) == (0, "")
+    assert answer.out.splitlines()[-1].endswith("readings.csv: 12 values of box")
+
+
 def test_a_study_beside_no_experiments_means_the_repository_s(mine, call, repository):
     studies = mine / "alone" / "studies"
     studies.mkdir(parents=True)
