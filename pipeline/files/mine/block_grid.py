@@ -119,7 +119,7 @@ def _extent(blocks: BlockTable, keep: np.ndarray, axis: int) -> float:
         if wrong:
             _refuse(blocks, some_of(wrong))
         return float(usual)
-    centers = np.unique(np.round(blocks.centers[keep, axis], 4))
+    centers = np.unique(np.round(blocks.centers[:, axis], 4))
     if len(centers) < 2:
         _refuse(
             blocks,

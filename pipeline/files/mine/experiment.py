@@ -149,12 +149,24 @@ def write_experiment(
     return targets
 
 
+class _Dumper(yaml.SafeDumper):
+    """SafeDumper that quotes names such as 12E04, which are numbers to the experiment's reader."""
+
+
+def _quoted(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    style = '"' if re.fullmatch(r"[-+.0-9eE]+", text) else None
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style)
+
+
+_Dumper.add_representer(str, _quoted)
+
+
 def _text(content: dict[str, Any], notes: Iterable[str]) -> str:
     head = ["Imported. What was understood, left out or assumed:", *(f"- {note}" for note in notes)]
     if content["assumed"]:
         listed = ", ".join(content["assumed"])
         head.append(f"- no file says {listed}: these are starting values, to calibrate")
-    body = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
+    body = yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100)
     return "".join(f"# {line}\n" for line in head) + body
 
 
@@ -231,7 +243,7 @@ def _mask(grid: BlockGrid, parts: list[int], cell: float) -> xr.Dataset:
         for axis, n in zip("zyx", ground.shape, strict=True)
     }
     attributes = {"long_name": "1 where there is ground, 0 where not", "units": "1"}
-    return xr.Dataset({"ground": ("zyx", ground.astype(np.int8), attributes)}, coords=coords)
+    return xr.Dataset({"ground": (tuple("zyx"), ground.astype(np.int8), attributes)}, coords=coords)
 
 
 def _drawpoints(drawpoints, grid: BlockGrid, cell: float, size: float | None) -> list[dict]:
