@@ -9,6 +9,7 @@ configfile: "workflow_configs/default.yaml"
 
 include: "pipeline/workflow/rules/common.smk"
 include: "pipeline/workflow/rules/experiments.smk"
+include: "pipeline/workflow/rules/export.smk"
 include: "pipeline/workflow/rules/flow_law.smk"
 include: "pipeline/workflow/rules/effects.smk"
 include: "pipeline/workflow/rules/studies.smk"

@@ -23,6 +23,7 @@ DRAWN = {
         {"name": "above", "x": 0.3, "y": 0.1, "width": 0.13, "length": 0.1},
     ],
 }
+MINE_ORIGIN = {"easting": 412345.5, "northing": 7654321.25, "elevation": -230.0}
 
 
 def merged(base: dict, changes: dict) -> dict:

@@ -41,6 +41,7 @@ _MM, _PERCENT, _G_CM3 = (0.001,), (0.01,), (1000.0, 0.001)
 Length = quantity("a length in m, from 1e-6 to 10000", slips=_MM, ge=1e-6, le=1e4)
 Height = quantity("a height in m, from 0 to 10000", slips=_MM, ge=0, le=1e4)
 Position = quantity("a position in m, from 0 to 10000", slips=_MM, ge=0, le=1e4)
+MineCoordinate = quantity("a mine coordinate in m, from -1e8 to 1e8", ge=-1e8, le=1e8)
 Mass = quantity("a mass in kg, above 0", gt=0)
 MassDrawn = quantity("a mass in kg, 0 or more", ge=0)
 Density = quantity("a density in kg m-3, from 100 to 10000", slips=_G_CM3, ge=100, le=1e4)
@@ -137,6 +138,17 @@ def _mask_fits(width, length, height, mask) -> Iterator[Found]:
         yield ("mask", "height"), f"expected at most geometry.height ({height:g} m)"
 
 
+class MineOrigin(Strict):
+    """Where the model's corner (x = y = z = 0) stands in the mine; x is east, y north, z up."""
+
+    easting: MineCoordinate
+    """Easting of the corner, m."""
+    northing: MineCoordinate
+    """Northing of the corner, m."""
+    elevation: MineCoordinate
+    """Elevation of the base, m."""
+
+
 class Geometry(Strict):
     """The box that holds the granular material, and the lattice in it."""
 
@@ -150,6 +162,8 @@ class Geometry(Strict):
     """Side of the cubic lattice cells, m."""
     mask: Mask | None = None
     """Where there is ground inside the box; without it everywhere."""
+    origin: MineOrigin | None = Field(None, exclude_if=lambda origin: origin is None)
+    """Where the corner of the base stands in the mine's coordinates; results carry it along."""
 
     checks = (_lattice_fits, _mask_fits)
 

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from pipeline.config.comparison import Comparison, comparison_problems
 from pipeline.config.experiment import DRAW_PARAMETERS, Experiment
+from pipeline.config.imports import ImportSettings
 from pipeline.config.measured import MeasuredError, MeasuredRow, read_measured, rows_by_name
 from pipeline.config.messages import NAME_PATTERN, ConfigError, did_you_mean, problems, shown_path
 from pipeline.config.study import HeldOutLoadCells, HeldOutTail, Study
@@ -152,6 +153,16 @@ def load_experiment(path: Path) -> Experiment:
     if found:
         raise ConfigError(found)
     return experiment
+
+
+def load_import_settings(path: Path) -> ImportSettings:
+    """The settings of an import in the YAML file ``path``; ConfigError with every problem."""
+    raw = _read_mapping(Path(path))
+    try:
+        return ImportSettings.model_validate(raw)
+    except ValidationError as error:
+        found = problems(ImportSettings, error, raw)
+        raise ConfigError((path, text) for text in found) from None
 
 
 def load_study(path: Path) -> Study:

@@ -189,14 +189,20 @@ def _provenance(
     }
 
 
-def _identity(settings: Experiment | Study) -> dict[str, str]:
+def _identity(settings: Experiment | Study) -> dict[str, str | float]:
     if isinstance(settings, Study):
         return {"study": settings.name}
-    return {
+    identity = {
         "experiment": settings.name,
         "data_label": settings.data_label,
         "root_seed": str(settings.seed),
     }
+    if (origin := settings.geometry.origin) is not None:
+        identity |= {f"origin_{key}": value for key, value in origin.model_dump().items()}
+        identity["origin_comment"] = (
+            "mine coordinates (m) of the corner x = y = z = 0; x is east, y north, z up"
+        )
+    return identity
 
 
 @cache

@@ -21,6 +21,14 @@ def lattice_of(experiment: Experiment) -> Lattice:
     return make_lattice(g.width, g.length, g.height, g.cell_size)
 
 
+def corner_of(experiment: Experiment) -> tuple[float, float, float]:
+    """Where the model's corner stands, (x, y, z) in m: in the mine where declared, or zero."""
+    origin = experiment.geometry.origin
+    return (
+        (0.0, 0.0, 0.0) if origin is None else (origin.easting, origin.northing, origin.elevation)
+    )
+
+
 def build_block_model(experiment: Experiment) -> xr.Dataset:
     """Block model before draw.
 

@@ -2,8 +2,6 @@
 
 import json
 import re
-import shutil
-import subprocess
 
 import netCDF4
 import numpy as np
@@ -14,7 +12,6 @@ from compliance_checker.runner import CheckSuite, ComplianceChecker
 from pipeline.calibrate.calibration import calibrate
 from pipeline.files.netcdf import describe, read_dataset, variable_table, write_dataset
 from pipeline.lattice.block_model import build_block_model
-from pipeline.montecarlo.replicates import run_experiment
 from pipeline.montecarlo.statistics import replicate_statistics
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import make_setup
@@ -35,63 +32,6 @@ GLOBALS = {
     "root_seed",
     "format_version",
 }
-
-
-@pytest.fixture(scope="session")
-def written(column, drawn, tmp_path_factory):
-    """written(kind): the experiment and the folder with its four files."""
-    done = {}
-
-    def write(kind):
-        if kind in done:
-            return done[kind]
-        folder = tmp_path_factory.mktemp(kind)
-        material = {"particle_size": [4e-3, 14e-3]}
-        if kind == "static":
-            experiment = column(
-                geometry={
-                    "width": 0.52,
-                    "length": 0.5,
-                    "height": 0.95,
-                    "mask": {"type": "cylinder"},
-                },
-                filling={"levels": [0.3]},
-                material=material,
-                keep_fields=True,
-            )
-        else:
-            experiment = drawn(material=material)
-        model = build_block_model(experiment)
-        setup = make_setup(experiment, model)
-        declared = declared_parameters(experiment)
-        used = declared if kind == "static" else declared.with_values({"s": 2.0})
-        replicates, fields = run_experiment(setup, used, declared)
-        block_model, runs = folder / "block_model.nc", folder / "replicates.nc"
-        write_dataset(
-            block_model, model, experiment, "block_model", "Block model", attributes=model.attrs
-        )
-        write_dataset(runs, replicates, experiment, "replicates", "Replicates", [block_model])
-        write_dataset(
-            folder / "fields.nc", fields, experiment, "replicates", "Fields", [block_model]
-        )
-        write_dataset(
-            folder / "statistics.nc",
-            replicate_statistics(read_dataset(runs)),
-            experiment,
-            "aggregate",
-            "Statistics",
-            [runs],
-            statistics=True,
-        )
-        done[kind] = experiment, folder
-        return done[kind]
-
-    return write
-
-
-@pytest.fixture(params=KINDS)
-def folder(request, written):
-    return written(request.param)[1]
 
 
 @pytest.fixture(params=[f"{kind}/{name}" for kind in KINDS for name in FILES])
@@ -391,34 +331,3 @@ def test_calibration_document_is_json(column, tmp_path):
     document = calibrate(experiment, setup, declared_parameters(experiment), ())
     write_json(tmp_path / "calibration.json", document)
     assert read_json(tmp_path / "calibration.json")["parameters_used"]["E"] == 0.9
-
-
-# ---------------------------------------------------------------------------------------------
-# other tools
-
-
-def run(*command):
-    if shutil.which(command[0]) is None:
-        pytest.skip(f"{command[0]} is not installed")
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
-
-
-def test_ncdump_reads_the_fields(folder):
-    header = run("ncdump", "-h", str(folder / "fields.nc"))
-    assert "float vertical_stress_mean(time, z, y, x) ;" in header
-    assert ':Conventions = "CF-1.11"' in header
-    text = run("ncdump", "-v", "z", str(folder / "fields.nc")).split("data:")[1]
-    first = float(re.search(r"z = ([0-9.eE+-]+)", text)[1])
-    assert first == pytest.approx(float(read_dataset(folder / "fields.nc")["z"][0]))
-
-
-def test_cdo_reads_the_fields_with_their_mean(folder):
-    fields = read_dataset(folder / "fields.nc")
-    text = run("cdo", "-s", "infon", "-selname,vertical_stress_mean", str(folder / "fields.nc"))
-    lines = [line.split() for line in text.splitlines() if "vertical_stress_mean" in line]
-    assert len(lines) == fields.sizes["time"] * fields.sizes["z"]
-    level = fields["vertical_stress_mean"].isel(time=0, z=0)
-    # ... Points Missing : Minimum Mean Maximum : Name
-    missing, mean = int(lines[0][6]), float(lines[0][9])
-    assert missing == int(level.isnull().sum())
-    assert mean == pytest.approx(float(level.mean()), rel=1e-4)
