@@ -14,7 +14,8 @@ import xarray as xr
 from pipeline.config.comparison import Comparison
 from pipeline.config.experiment import Experiment
 from pipeline.config.load import digest
-from pipeline.montecarlo.base_stress import MPA, stress_percentiles
+from pipeline.files.units import KPA_IN_MPA
+from pipeline.montecarlo.statistics import stress_percentiles
 from pipeline.simulate import load_cells
 
 PEAK_WITHIN = 1e-3  # a stress that stays the same but for this has its peak when it began
@@ -85,8 +86,8 @@ def compare(
     """
     mass = replicates[0]["mass_drawn"].values
     cells = load_cells(experiments[0])
-    stress = [MPA * one["vertical_stress"].values for one in replicates]
-    base = [MPA * one["base_vertical_stress"].values[:, :, None] for one in replicates]
+    stress = [KPA_IN_MPA * one["vertical_stress"].values for one in replicates]
+    base = [KPA_IN_MPA * one["base_vertical_stress"].values[:, :, None] for one in replicates]
     threshold = comparison.threshold_mpa
     return {
         "schema_version": "1.0",
@@ -193,7 +194,7 @@ def reading_rows(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             for side in SIDES:
                 row |= {f"{side}_{name}_mpa": entry[side][f"{name}_mpa"][t] for name in STATISTICS}
             difference = entry["difference_mpa"][t]
-            row |= {"difference_mpa": difference, "difference_kpa": difference / MPA}
+            row |= {"difference_mpa": difference, "difference_kpa": difference / KPA_IN_MPA}
             yield row | {"difference_se_mpa": entry["difference_se_mpa"][t]}
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,12 +11,13 @@ import numpy as np
 from pipeline.config.experiment import BaseArea
 from pipeline.files.atomic import write_text
 from pipeline.files.results import Results, clock_of
+from pipeline.files.tables import as_csv
 from pipeline.files.units import KG_IN_T, KPA_IN_MPA
 from pipeline.lattice.block_model import STATE_OUTSIDE, corner_of, lattice_of
+from pipeline.montecarlo.statistics import PERCENTILES, stress_percentiles
 from pipeline.simulate import load_cells
 
 NEEDED = ("block_model", "replicates", "fields")
-PERCENTILES = (10, 50, 90)
 _STATISTICS = ("mean", "std", *(f"p{p}" for p in PERCENTILES))
 COLUMNS = (
     "experiment",
@@ -42,12 +41,8 @@ COLUMNS = (
 
 
 def write_base_stress(results: Results, path: str | Path) -> None:
-    """Write the table of `base_stress_rows` as CSV, whole; numbers with ten digits."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({k: _cell(v) for k, v in row.items()} for row in base_stress_rows(results))
-    write_text(path, text.getvalue())
+    """Write the table of `base_stress_rows` as CSV, whole."""
+    write_text(path, as_csv(COLUMNS, base_stress_rows(results)))
 
 
 def base_stress_rows(results: Results) -> Iterator[dict[str, Any]]:
@@ -113,11 +108,9 @@ class _Opening:
 
 def _statistics(values: np.ndarray) -> dict[str, float]:
     """Columns of the stresses (kPa) of all replicates; no scatter from a single one."""
-    found = {"mean": float(values.mean())}
+    found = {name: float(value) for name, value in stress_percentiles(values).items()}
     if len(values) > 1:
         found["std"] = float(values.std(ddof=1))
-    for percent, value in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True):
-        found[f"p{percent}"] = float(value)
     in_mpa = {f"{name}_mpa": value * KPA_IN_MPA for name, value in found.items()}
     return {f"{name}_kpa": value for name, value in found.items()} | in_mpa
 
@@ -146,7 +139,3 @@ def _drawn_from(results: Results) -> np.ndarray | None:
         for d in range(drawn.shape[1]):
             drawn[t, d] = np.where(out & (point == d), mass, 0.0).sum() / len(after)
     return drawn
-
-
-def _cell(value: Any) -> Any:
-    return f"{value:.10g}" if isinstance(value, float) else value

@@ -37,7 +37,7 @@ FORMATS = {
         "image data with cell values (.vti) for each reading, and their series (.pvd)",
     ),
     "csv": Format(
-        "export/base_stress.csv",
+        "base_stress.csv",
         base_stress.NEEDED,
         base_stress.write_base_stress,
         "base stress by load cell, drawpoint and period: mean, P10, P50, P90 in kPa and MPa",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+PERCENTILES = (10, 50, 90)  # that planners ask for
 SKIPPED = {"extraction", "x", "y", "z"}  # variables on these dims stay with the replicates
 
 
@@ -42,3 +43,13 @@ def replicate_statistics(replicates: xr.Dataset) -> xr.Dataset:
     }
     coords["realization"] = ((), np.int32(0))
     return xr.Dataset(data, coords=coords)
+
+
+def stress_percentiles(stress: np.ndarray) -> dict[str, np.ndarray]:
+    """Mean and `PERCENTILES` over the first axis (replicate) of any stress, in its unit.
+
+    Percentiles are interpolated linearly between the ordered replicates.
+    """
+    found = np.percentile(stress, PERCENTILES, axis=0)
+    named = {f"p{percent}": values for percent, values in zip(PERCENTILES, found, strict=True)}
+    return {"mean": stress.mean(axis=0)} | named

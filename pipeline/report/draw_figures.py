@@ -136,7 +136,7 @@ def base_map_figure(results: Results, data: Data) -> Figure:
     extent = (experiment.geometry.width, experiment.geometry.length)
     panels = []
     for t in evenly(len(results.clock), MOST_MAPS):
-        values = [float(row["mean_mpa"] or "nan") for row in rows if int(row["reading"]) == t]
+        values = [float(row["mean_mpa"] or "nan") for row in rows if int(row["period"]) == t]
         panels.append(
             plan(
                 data,
@@ -184,8 +184,8 @@ def base_stress_table(results: Results, data: Data) -> Table:
         for scale, decimals in (("kpa", 1), ("mpa", 4)):
             values = (row[f"{name}_{scale}"] for name in statistics)
             numbers += [(float(value) if value else None, decimals) for value in values]
-        period = f"period {row['reading']}" if row["reading"] != "0" else "before draw"
-        table.add_numbers(f"{row['load_cell']}, {period}", numbers)
+        period = f"period {row['period']}" if row["period"] != "0" else "before draw"
+        table.add_numbers(f"{row['name']}, {period}", numbers)
     return table
 
 

@@ -31,7 +31,7 @@ MOST_PANELS = 7  # of single load cells, where there are many
 class Results:
     """What the rules before the report wrote; the datasets read from disk what is asked for.
 
-    `base_stress` holds the rows of `base_stress.csv`.
+    `base_stress` holds the load cells' rows of `base_stress.csv`.
     """
 
     experiment: Experiment
@@ -145,7 +145,8 @@ def open_results(experiment: Experiment, files: Mapping[str, str | Path]) -> Ite
         )
         documents = (read_json(files[name]) for name in ("calibration", "validation"))
         with open(files["base_stress"], encoding="utf-8", newline="") as table:
-            yield Results(experiment, *documents, *datasets, list(csv.DictReader(table)))
+            rows = [row for row in csv.DictReader(table) if row["place"] == "load_cell"]
+            yield Results(experiment, *documents, *datasets, rows)
 
 
 QUANTITY_WORDS = {

@@ -16,7 +16,7 @@ from pipeline.compare.comparison import (
     share_of_time_above,
 )
 from pipeline.config.comparison import Comparison
-from pipeline.montecarlo.base_stress import as_csv
+from pipeline.files.tables import as_csv
 
 MASS = [0.0, 10.0, 40.0]  # kg: the second interval is three quarters of the time
 

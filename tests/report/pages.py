@@ -8,10 +8,11 @@ from pathlib import Path
 from pipeline.calibrate.calibration import calibrate
 from pipeline.config.experiment import Experiment
 from pipeline.config.measured import MeasuredRow
-from pipeline.files.atomic import write_json, write_text
+from pipeline.files.atomic import write_json
+from pipeline.files.base_stress import NEEDED, write_base_stress
 from pipeline.files.netcdf import read_dataset, write_dataset
+from pipeline.files.results import Results
 from pipeline.lattice.block_model import build_block_model
-from pipeline.montecarlo.base_stress import COLUMNS, as_csv, base_stress_rows
 from pipeline.montecarlo.replicates import run_experiment
 from pipeline.montecarlo.statistics import replicate_statistics
 from pipeline.parameters import Parameters, declared_parameters
@@ -81,8 +82,7 @@ def make_page(experiment: Experiment, rows, folder: Path) -> Made:
     write_dataset(
         files["statistics"], statistics, experiment, "aggregate", "Statistics", statistics=True
     )
-    rows_of_base = base_stress_rows(read_dataset(files["replicates"]))
-    write_text(files["base_stress"], as_csv(COLUMNS, rows_of_base))
+    write_base_stress(Results(folder, NEEDED), files["base_stress"])
     document = validate(experiment, read_dataset(files["replicates"]), calibration, rows)
     write_json(files["validation"], document)
     write_report(experiment, files, folder / "report.html", folder / "report_data.csv")

@@ -61,7 +61,9 @@ rule replicates:
 
 rule aggregate:
     input:
+        block_model=rules.block_model.output.block_model,
         replicates=rules.replicates.output.replicates,
+        fields=rules.replicates.output.fields,
     output:
         statistics="<results>/experiments/{experiment}/statistics.nc",
         base_stress="<results>/experiments/{experiment}/base_stress.csv",

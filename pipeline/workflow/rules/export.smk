@@ -18,24 +18,6 @@ rule export_fields:
         "../scripts/export.py"
 
 
-rule export_base_stress:
-    input:
-        block_model=rules.block_model.output.block_model,
-        replicates=rules.replicates.output.replicates,
-        fields=rules.replicates.output.fields,
-    output:
-        base_stress="<results>/experiments/{experiment}/export/base_stress.csv",
-    log:
-        "<results>/logs/experiments/{experiment}/export_base_stress.log",
-    params:
-        to="csv",
-        code=source_digest("export"),
-    message:
-        "{wildcards.experiment}: table of base stress"
-    script:
-        "../scripts/export.py"
-
-
 rule export_block_model:
     input:
         block_model=rules.block_model.output.block_model,

@@ -1,22 +1,23 @@
 """Rule aggregate: `replicates.nc` to `statistics.nc` and `base_stress.csv`."""
 
+from pathlib import Path
+
 from pipeline.config.load import load_experiment
-from pipeline.files.atomic import write_text
-from pipeline.files.netcdf import read_dataset, write_dataset
-from pipeline.montecarlo.base_stress import COLUMNS, as_csv, base_stress_rows
+from pipeline.files.base_stress import NEEDED, write_base_stress
+from pipeline.files.netcdf import write_dataset
+from pipeline.files.results import Results
 from pipeline.montecarlo.statistics import replicate_statistics
 from pipeline.workflow.job import log_to
 
 log_to(snakemake.log[0])
-experiment = load_experiment(snakemake.params.file)
-replicates = read_dataset(snakemake.input.replicates)
+results = Results(Path(snakemake.input.replicates).parent, NEEDED)
 write_dataset(
     snakemake.output.statistics,
-    replicate_statistics(replicates),
-    experiment,
+    replicate_statistics(results["replicates"]),
+    load_experiment(snakemake.params.file),
     "aggregate",
     "Statistics over replicates",
     [snakemake.input.replicates],
     statistics=True,
 )
-write_text(snakemake.output.base_stress, as_csv(COLUMNS, base_stress_rows(replicates)))
+write_base_stress(results, snakemake.output.base_stress)

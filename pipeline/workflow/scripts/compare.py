@@ -10,7 +10,7 @@ from pipeline.compare.comparison import (
 from pipeline.config.load import load_comparison, load_experiment
 from pipeline.files.atomic import write_json, write_text
 from pipeline.files.netcdf import read_dataset
-from pipeline.montecarlo.base_stress import as_csv
+from pipeline.files.tables import as_csv
 from pipeline.workflow.job import log_to
 
 log_to(snakemake.log[0])
