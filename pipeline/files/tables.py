@@ -10,7 +10,7 @@ import numpy as np
 
 
 def as_csv(columns: Sequence[str], rows: Iterable[Mapping[str, float | str | None]]) -> str:
-    """Rows as CSV with a header; numbers with ten significant digits, NaN and missing keys empty."""
+    """Rows as CSV with a header; numbers with ten digits, NaN and missing keys empty."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
     writer.writeheader()
