@@ -45,7 +45,7 @@ def carried_statements(
         yield (
             f"This ℓ is that of the other model's walls. By Janssen's law ℓ is proportional to the "
             f"hydraulic radius, {there:.3g} m there and {here:.3g} m here: ℓ would be "
-            f"{used.attenuation_length * here / there:.3g} m. Nothing measured here decides."
+            f"{used.attenuation_length * here / there:.4g} m. Nothing measured here decides."
         )
     if source["parameters"]["E"].get("interval_open"):
         yield f"The data of {source['experiment']} do not bound E: its 90 % interval is open."
