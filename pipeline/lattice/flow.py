@@ -27,6 +27,7 @@ DRAWN_CELLS, LOOSENED_CELLS, PARKED_VOIDS, HANG_UPS, VOID_STEPS = range(5)
 
 NONE, SEVERAL = np.int16(-1), np.int16(-2)
 """Labels of a block without a loosened place, and of one with places of more zones than one."""
+BLOCK = 8  # places a side
 
 
 class FlowIndex(NamedTuple):
@@ -34,9 +35,9 @@ class FlowIndex(NamedTuple):
 
     - ``granular``, ``loosened``: flags of the places with a granular cell, and of those in a
       movement zone, see `pipeline.lattice.flags`.
-    - ``block_label`` int16 (z, y, x): a label of the one connected zone that all loosened places
-      of a block of 8 x 8 x 8 places belong to; ``NONE`` or ``SEVERAL``. A block of several stays
-      so, even when they unite.
+    - ``block_label`` int16 (z, y, x): for each block of the lattice, ``BLOCK`` places a side, a
+      label of the one connected zone that all its loosened places belong to; ``NONE`` or
+      ``SEVERAL``. A block of several stays so, even when they unite.
     """
 
     granular: np.ndarray
@@ -140,7 +141,7 @@ def new_flow_state(code, openings):
 
 def flow_index(code, zone, zone_root):
     """`FlowIndex` of ground in any state; arguments as in `FlowState`."""
-    blocks = [(n + 7) // 8 for n in code.shape]
+    blocks = [-(-n // BLOCK) for n in code.shape]
     index = FlowIndex(new_flags(code.shape), new_flags(code.shape), np.full(blocks, NONE))
     _fill_index(code, zone, zone_root, index)
     return index
@@ -188,7 +189,7 @@ def draw_to(state, cell_weight, drawpoint, target_mass, chances, bulking, rng):
     Changes the arrays of ``state``. Returns the shortfall in kg: what is missing to the target
     when no granular cell is left in the opening, else 0. An empty opening stays empty.
     """
-    # the kernels below take arrays, not the state: Numba counts references to each part of a tuple
+    # kernels called for each cell get arrays: of a state, Numba counts references to each part
     code, cell_id, moved, counters = state.code, state.cell_id, state.moved, state.counters
     zone, zone_root = state.zone, state.zone_root
     min_x, max_x = state.level_min_x[drawpoint], state.level_max_x[drawpoint]
@@ -387,12 +388,12 @@ def _loosen(
 
 @njit(nogil=True, cache=True)
 def _other_zones_near(block_label, zone_root, k, j, i, drawpoint, shape):
-    """Whether the blocks around a place hold loosened places of other zones than a drawpoint's."""
+    """Whether blocks that touch a place hold loosened places of other zones than a drawpoint's."""
     nz, ny, nx = shape
     found = False
-    for z in (max(k - 1, 0) >> 3, min(k + 1, nz - 1) >> 3):
-        for y in (max(j - 1, 0) >> 3, min(j + 1, ny - 1) >> 3):
-            for x in (max(i - 1, 0) >> 3, min(i + 1, nx - 1) >> 3):
+    for z in (max(k - 1, 0) // BLOCK, min(k + 1, nz - 1) // BLOCK):
+        for y in (max(j - 1, 0) // BLOCK, min(j + 1, ny - 1) // BLOCK):
+            for x in (max(i - 1, 0) // BLOCK, min(i + 1, nx - 1) // BLOCK):
                 label = block_label[z, y, x]
                 other = zone_root[max(label, 0)] != zone_root[drawpoint]
                 found |= (label == SEVERAL) | ((label != NONE) & other)
@@ -402,7 +403,7 @@ def _other_zones_near(block_label, zone_root, k, j, i, drawpoint, shape):
 @njit(nogil=True, cache=True)
 def _label_block(block_label, zone_root, k, j, i, label):
     """Enter a loosened place with this label into its block."""
-    z, y, x = k >> 3, j >> 3, i >> 3
+    z, y, x = k // BLOCK, j // BLOCK, i // BLOCK
     known = block_label[z, y, x]
     if known == NONE:
         block_label[z, y, x] = label
