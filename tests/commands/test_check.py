@@ -83,6 +83,12 @@ def test_studies_and_tables_elsewhere_find_their_experiments_where_they_are_told
     assert call("check", lone / "loop.yaml", lone / "box.csv", *told).status == 0
 
 
+def test_a_comment_that_a_spreadsheet_has_put_in_quotes_is_one(mine, call):
+    table = mine / "experiments" / "measured" / "box.csv"
+    table.write_text('"# one, two",,,,,,,,\n' + table.read_text("utf-8"), "utf-8")
+    assert call("check", table).status == 0
+
+
 def test_a_folder_s_tables_may_be_anywhere(mine, call):
     table = mine / "experiments" / "measured" / "box.csv"
     table.rename(mine / "readings.csv")
