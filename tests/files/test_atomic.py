@@ -1,4 +1,4 @@
-"""A file appears whole or not at all."""
+"""A file or a folder appears whole or not at all."""
 
 import json
 import math
@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from pipeline.files.atomic import read_json, whole_file, write_json, write_text
+from pipeline.files.atomic import read_json, whole_file, whole_folder, write_json, write_text
 
 
 class InterruptionError(Exception):
@@ -58,3 +58,29 @@ def test_json_keeps_order_and_numbers_and_writes_null_for_what_is_not_finite(tmp
     assert read_json(target) == {"b": 0.1, "a": [3, None, None], "c": {"d": [True, None, "σ"]}}
     assert list(read_json(target)) == ["b", "a", "c"]
     json.loads(target.read_text(), parse_constant=lambda word: pytest.fail(word))
+
+
+def test_a_folder_appears_whole_and_takes_the_place_of_the_old_one(tmp_path):
+    target = tmp_path / "vtk"
+    for number in (1, 2):
+        with whole_folder(target) as partial:
+            (partial / f"{number}.vti").write_text("whole")
+            assert not (target / f"{number}.vti").exists()
+    assert [path.name for path in target.iterdir()] == ["2.vti"]
+    assert [path.name for path in tmp_path.iterdir()] == ["vtk"]
+
+
+def test_a_folder_that_fails_midway_leaves_the_old_one(tmp_path):
+    target = tmp_path / "vtk"
+    target.mkdir()
+    (target / "old.vti").write_text("old")
+
+    def write():
+        with whole_folder(target) as partial:
+            (partial / "new.vti").write_text("half")
+            raise InterruptionError
+
+    with pytest.raises(InterruptionError):
+        write()
+    assert [path.name for path in target.iterdir()] == ["old.vti"]
+    assert [path.name for path in tmp_path.iterdir()] == ["vtk"]
