@@ -8,12 +8,14 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
+from pipeline.config.experiment import Experiment
 from pipeline.config.load import check_measured, digest, load_experiments, load_studies, sources
 
 PACKAGE = Path(__file__).parents[1]
 CODE = (".py", ".pyc", ".smk")
 OWN = {"experiments_dir": "workflow_configs/experiments", "studies_dir": "workflow_configs/studies"}
 SMALL_RUN = 2e7  # cell sweeps that one thread does in a moment
+ANY_NUMBER = {"replicates": 1, "stop_at": None}
 
 
 class Catalog:
@@ -30,6 +32,7 @@ class Catalog:
 
     def __init__(self, config: Mapping[str, object]):
         self.results = str(config["results_dir"]).rstrip("/")
+        self._on_cluster = bool(config["dask_scheduler"])
         own = {key: str(config[key]).rstrip("/") == folder for key, folder in OWN.items()}
         self._known = load_experiments(Path(str(config["experiments_dir"])))
         self.experiments, self.studies = self._known, {}
@@ -51,7 +54,13 @@ class Catalog:
 
         Its files are the YAML, the measured rows and the mask.
         """
-        experiment = self.experiments[name]
+        return self._settings(self.experiments[name])
+
+    def replicate(self, name: str) -> str:
+        """As `settings`, without how many replicates are wanted: what decides a single one."""
+        return self._settings(self.experiments[name].model_copy(update=ANY_NUMBER))
+
+    def _settings(self, experiment: Experiment) -> str:
         parts = [digest(experiment), repr([_said(row) for row in check_measured(experiment)])]
         parts += [_digest_with_imports(PACKAGE / "effects" / f"{e}.py") for e in experiment.effects]
         if experiment.mask_path is not None:
@@ -84,15 +93,20 @@ class Catalog:
         chains = (sources(self.experiments[one], self.experiments) for one in named)
         return list(dict.fromkeys(one.name for chain in chains for one in chain))
 
-    def threads(self, name: str, cores: int) -> int:
-        """One thread for a small experiment, all cores for a large one."""
+    def threads(self, name: str, cores: int | None) -> int:
+        """One thread for a small experiment, all cores for a large one.
+
+        On a Dask cluster one for each: its workers compute, and the job waits for them.
+        """
+        if self._on_cluster:
+            return 1
         experiment = self.experiments[name]
         g = experiment.geometry
         cells = g.width * g.length * g.height / g.cell_size**3
         readings = 1
         if experiment.is_draw and experiment.readings.every:
             readings = experiment.mass_scheduled / experiment.readings.every
-        return cores if cells * readings * experiment.replicates > SMALL_RUN else 1
+        return (cores or 1) if cells * readings * experiment.replicates > SMALL_RUN else 1
 
 
 def _said(row) -> tuple:

@@ -4,12 +4,8 @@ import numpy as np
 import pytest
 
 from pipeline.lattice.block_model import build_block_model
-from pipeline.montecarlo.replicates import (
-    Execution,
-    replicates_dataset,
-    run_experiment,
-    run_replicates,
-)
+from pipeline.montecarlo.replicates import replicates_dataset, run_experiment, run_replicates
+from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import make_setup, visits
 
