@@ -20,6 +20,7 @@ from pathlib import Path
 import numba
 import numpy as np
 
+from pipeline.config.load import digest
 from pipeline.files.atomic import whole_file
 from pipeline.montecarlo.fields import FieldSums
 from pipeline.montecarlo.parts import Part
@@ -28,6 +29,7 @@ from pipeline.simulate import Setup
 
 WRITING = 1e8  # bytes a second; what is computed sooner than written is not kept
 NAME = re.compile(r"([0-9a-f]{16})_(\d+)-(\d+)\.npz")
+ANY_NUMBER = {"replicates": 1, "stop_at": None}  # of replicates, of which none hangs on it
 SUMS = tuple(field.name for field in fields(FieldSums) if field.name not in ("setup", "count"))
 
 log = logging.getLogger(__name__)
@@ -36,19 +38,20 @@ log = logging.getLogger(__name__)
 class Checkpoints:
     """The checkpoints of an experiment in a folder of their own.
 
-    `key` stands for what decides its replicates but is not in a setup and parameters: settings
-    and code.
+    `code` is a digest of the code that computes replicates.
     """
 
-    def __init__(self, folder: str | Path, key: str):
-        self._folder, self._key = Path(folder), key
+    def __init__(self, folder: str | Path, code: str):
+        self._folder, self._code = Path(folder), code
         self._shelves: list[Shelf] = []
 
     def shelf(
         self, setup: Setup, parameters: Parameters, purposes: tuple[int, int], with_fields: bool
     ) -> Shelf:
         """Where replicates of one set of parameters are kept."""
-        said = [self._key, parameters.to_document(), purposes, with_fields]
+        experiment = setup.experiment.model_copy(update=ANY_NUMBER)
+        said = [self._code, experiment.name, digest(experiment)]
+        said += [parameters.to_document(), purposes, with_fields]
         said += [setup.fill_levels, setup.true_levels, setup.masses]
         said += [np.__version__, numba.__version__]
         key = hashlib.sha256(json.dumps(said).encode())

@@ -8,14 +8,12 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
-from pipeline.config.experiment import Experiment
 from pipeline.config.load import check_measured, digest, load_experiments, load_studies, sources
 
 PACKAGE = Path(__file__).parents[1]
 CODE = (".py", ".pyc", ".smk")
 OWN = {"experiments_dir": "workflow_configs/experiments", "studies_dir": "workflow_configs/studies"}
 SMALL_RUN = 2e7  # cell sweeps that one thread does in a moment
-ANY_NUMBER = {"replicates": 1, "stop_at": None}
 
 
 class Catalog:
@@ -54,18 +52,17 @@ class Catalog:
 
         Its files are the YAML, the measured rows and the mask.
         """
-        return self._settings(self.experiments[name])
-
-    def replicate(self, name: str) -> str:
-        """As `settings`, without how many replicates are wanted: what decides a single one."""
-        return self._settings(self.experiments[name].model_copy(update=ANY_NUMBER))
-
-    def _settings(self, experiment: Experiment) -> str:
+        experiment = self.experiments[name]
         parts = [digest(experiment), repr([_said(row) for row in check_measured(experiment)])]
-        parts += [_digest_with_imports(PACKAGE / "effects" / f"{e}.py") for e in experiment.effects]
+        parts.append(self.effects(name))
         if experiment.mask_path is not None:
             parts.append(hashlib.sha256(experiment.mask_path.read_bytes()).hexdigest())
         return _sha256("".join(parts))
+
+    def effects(self, name: str) -> str:
+        """Digest of the code of the effects that an experiment declares."""
+        modules = [PACKAGE / "effects" / f"{e}.py" for e in self.experiments[name].effects]
+        return "".join(_digest_with_imports(module) for module in modules)
 
     def source_calibration(self, name: str) -> list[str]:
         """`calibration.json` of the experiment that `stress: {from: NAME}` refers to, if any."""

@@ -53,7 +53,7 @@ rule replicates:
         file=lambda w: CATALOG.file(w.experiment),
         settings=lambda w: CATALOG.settings(w.experiment),
         code=source_digest("replicates"),
-        replicate=lambda w: CATALOG.replicate(w.experiment),
+        effects=lambda w: CATALOG.effects(w.experiment),
         checkpoints=lambda w: f"{RESULTS}/checkpoints/{w.experiment}",
     message:
         "{wildcards.experiment}: replicates"

@@ -21,7 +21,7 @@ used, declared = (
 )
 execution = Execution(snakemake.threads, snakemake.resources.dask_scheduler)
 checkpoints = Checkpoints(
-    snakemake.params.checkpoints, snakemake.params.replicate + snakemake.params.code
+    snakemake.params.checkpoints, snakemake.params.code + snakemake.params.effects
 )
 replicates, fields = run_experiment(setup, used, declared, execution, checkpoints)
 replicates["load_cell_footprint"] = load_cell_footprint(setup, used)
