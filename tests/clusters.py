@@ -9,6 +9,8 @@ import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from distributed import get_worker
+
 SECONDS = 60.0
 
 
@@ -76,3 +78,25 @@ def _wait(ready):
         assert time.monotonic() < deadline
         time.sleep(0.05)
     return result
+
+
+class Counted:
+    """Knows when it was unpickled."""
+
+    def __init__(self, pause):
+        self.pause, self.when = pause, None
+
+    def __setstate__(self, state):
+        self.__dict__ = state | {"when": time.time()}
+
+
+def slowly(shared, number):
+    """Its number, the worker that did it, and when that got what is shared."""
+    time.sleep(shared.pause)
+    return number, get_worker().address, shared.when
+
+
+def break_at_three(_, number):
+    """A task that fails."""
+    if number == 3:
+        raise ZeroDivisionError("in replicate 3")

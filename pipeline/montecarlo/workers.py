@@ -8,11 +8,18 @@ import math
 import multiprocessing
 import os
 import pickle
-import queue
 import threading
 import time
+import uuid
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    CancelledError,
+    Executor,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from concurrent.futures import wait as wait_for
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
@@ -23,6 +30,8 @@ from typing import Any
 
 PACKAGE = Path(__file__).parents[1]
 PATIENCE = 60.0  # s without any worker of the cluster
+CONNECT = "10s"  # for the scheduler to answer
+LOSSES = 4  # times that a result may be lost with its worker
 KEPT = "Finished replicates are kept: the next run goes on from them."
 
 log = logging.getLogger(__name__)
@@ -194,7 +203,7 @@ def dask_session(scheduler: str, what: str) -> Iterator[_Cluster]:
     settings = {
         # what all tasks share goes to the scheduler once, and from there to each worker
         "distributed.admin.large-graph-warning-threshold": "100GB",
-        "distributed.comm.timeouts.connect": "15s",
+        "distributed.comm.timeouts.connect": CONNECT,
     }
     with dask.config.set(settings):
         try:
@@ -218,12 +227,14 @@ class _Cluster:
     def __init__(self, client, scheduler: str, what: str):
         self._client, self._scheduler = client, scheduler
         self._sent: tuple[Any, Any] = (None, None)  # what was shared last, and its future
+        self._losses: Counter[str] = Counter()  # how often results were lost, by their key
         try:
             client.wait_for_workers(1, timeout=PATIENCE)
         except TimeoutError:
             raise WorkersLostError(self._no_worker(what)) from None
         threads = [worker["nthreads"] for worker in self._workers().values()]
         self.workers = sum(threads)
+        client.subscribe_topic("all", self._count_losses)
         log.info(
             "Dask cluster at %s: %d workers, %d threads", scheduler, len(threads), sum(threads)
         )
@@ -232,40 +243,32 @@ class _Cluster:
         return self._client.scheduler_info(n_workers=-1)["workers"]
 
     def each(self, function, jobs, shared, what: str) -> Iterator[tuple[int, Any]]:
-        """As `Each`. The scheduler repeats what a worker that died had not finished."""
+        """As `Each`. The scheduler repeats what a worker that died had not handed over."""
         import distributed
 
-        done: queue.SimpleQueue[int] = queue.SimpleQueue()
-        futures = {}
+        pool = self._client.get_executor(pure=False)
+        run, keys, running = uuid.uuid4().hex, [], {}
         try:
             sent = self._send(shared)
             for place, job in enumerate(jobs):
-                futures[place] = self._client.submit(
-                    _run_on_worker, _versions(), function, sent, job, pure=False
-                )
-                futures[place].add_done_callback(lambda _, place=place: done.put(place))
-            while futures:
-                place = self._next(done, what)
-                result = futures[place].result()
-                del futures[place]
-                yield place, result
+                keys.append(f"{function.__name__}-{run}-{place}")
+                arguments = _versions(), function, sent, job
+                running[pool.submit(_run_on_worker, *arguments, key=keys[-1])] = place
+            while running:
+                for future in self._finished(running, keys, what):
+                    yield running.pop(future), future.result()
+                    del future
         except distributed.scheduler.KilledWorker as error:
-            raise WorkersLostError(
-                f"{what}: workers of the Dask cluster at {self._scheduler} died "
-                f"{error.allowed_failures + 1} times over the same task, most likely because "
-                f"memory ran out (the last at {error.last_worker.address}). {KEPT} Give each "
-                "worker more memory (`dask worker --memory-limit`) or one thread (`--nthreads "
-                "1`), or run it with fewer cells."
-            ) from None
-        except (distributed.client.FutureCancelledError, OSError, TimeoutError) as error:
+            raise WorkersLostError(self._out_of_memory(what, error.allowed_failures + 1)) from None
+        except (CancelledError, OSError, TimeoutError) as error:
             raise WorkersLostError(
                 f"{what}: the Dask cluster at {self._scheduler} was lost "
                 f"({_first_line(error)}). {KEPT} See that `dask scheduler` and its workers run, "
                 "then run it again, or leave dask_scheduler out to run it here."
             ) from None
         finally:
-            if futures:
-                self._client.cancel(list(futures.values()), asynchronous=True)
+            for future in running:
+                future.cancel()
 
     def _send(self, shared):
         """The future of what all jobs share.
@@ -277,17 +280,32 @@ class _Cluster:
             self._sent = (shared, future)
         return self._sent[1]
 
-    def _next(self, done: queue.SimpleQueue, what: str) -> int:
-        """Place of the next finished job."""
+    def _finished(self, running, keys, what: str):
+        """Futures that are done, one at least; an error where none will ever be."""
         since = time.monotonic()
         while True:
-            try:
-                return done.get(timeout=1.0)
-            except queue.Empty:
-                if self._client.status != "running" or self._workers():
-                    since = time.monotonic()
-                elif time.monotonic() - since > PATIENCE:
-                    raise WorkersLostError(self._no_worker(what)) from None
+            if done := wait_for(running, 1.0, FIRST_COMPLETED).done:
+                return done
+            if (losses := max(self._losses[key] for key in keys)) >= LOSSES:
+                raise WorkersLostError(self._out_of_memory(what, losses))
+            if self._client.status != "running" or self._workers():
+                since = time.monotonic()
+            elif time.monotonic() - since > PATIENCE:
+                raise WorkersLostError(self._no_worker(what))
+
+    def _count_losses(self, event) -> None:
+        """A worker that dies with results counts as no failure to the scheduler."""
+        _, told = event
+        if isinstance(told, dict) and told.get("action") == "remove-worker":
+            self._losses.update(map(str, told.get("lost-computed-tasks", ())))
+
+    def _out_of_memory(self, what: str, times: int) -> str:
+        return (
+            f"{what}: workers of the Dask cluster at {self._scheduler} died over the same task "
+            f"({times} of {times} times), most likely because memory ran out. {KEPT} Give each "
+            "worker more memory (`dask worker --memory-limit`) or one thread (`--nthreads 1`), or "
+            "run it with fewer cells."
+        )
 
     def _no_worker(self, what: str) -> str:
         return (
