@@ -203,7 +203,7 @@ def _collect(
         for first, last in gaps
         for start in range(first, last, chunk)
     ]
-    for _, part in workers.each(_run_part, jobs, run):
+    for _, part in workers.each(run_part, jobs, run):
         if part.sums is not None:
             part.sums.setup = run.setup
         if shelf:
@@ -213,7 +213,7 @@ def _collect(
             progress.computed(part.last - part.first)
 
 
-def _run_part(run: Run, first: int, last: int) -> Part:
+def run_part(run: Run, first: int, last: int) -> Part:
     """Replicates `first` … `last` − 1; the sums go without the setup, which the caller has."""
     start = time.perf_counter()
     sums = FieldSums.empty(run.setup) if run.fields else None

@@ -8,6 +8,7 @@ import math
 import multiprocessing
 import os
 import pickle
+import queue
 import threading
 import time
 import uuid
@@ -15,14 +16,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
-    CancelledError,
     Executor,
     ProcessPoolExecutor,
     ThreadPoolExecutor,
 )
 from concurrent.futures import wait as wait_for
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -191,14 +191,8 @@ def dask_session(scheduler: str, what: str) -> Iterator[_Cluster]:
     if scheduler in _sessions:
         yield _sessions[scheduler]
         return
-    try:
-        import dask
-        from distributed import Client
-    except ImportError:
-        raise WorkersLostError(
-            f"{what}: dask_scheduler = {scheduler} needs the package distributed; install "
-            "block-cave-stress[cluster], or leave dask_scheduler out"
-        ) from None
+    import dask
+    from distributed import Client
 
     settings = {
         # what all tasks share goes to the scheduler once, and from there to each worker
@@ -246,29 +240,40 @@ class _Cluster:
         """As `Each`. The scheduler repeats what a worker that died had not handed over."""
         import distributed
 
-        pool = self._client.get_executor(pure=False)
-        run, keys, running = uuid.uuid4().hex, [], {}
+        run, futures = uuid.uuid4().hex, {}
+        done, results = queue.SimpleQueue(), queue.SimpleQueue()
         try:
             sent = self._send(shared)
             for place, job in enumerate(jobs):
-                keys.append(f"{function.__name__}-{run}-{place}")
-                arguments = _versions(), function, sent, job
-                running[pool.submit(_run_on_worker, *arguments, key=keys[-1])] = place
-            while running:
-                for future in self._finished(running, keys, what):
-                    yield running.pop(future), future.result()
-                    del future
+                futures[place] = self._client.submit(
+                    _run_on_worker,
+                    _versions(),
+                    function,
+                    sent,
+                    job,
+                    key=f"{function.__name__}-{run}-{place}",
+                    pure=False,
+                )
+                futures[place].add_done_callback(lambda _, place=place: done.put(place))
+            threading.Thread(target=_fetch, args=(futures, done, results), daemon=True).start()
+            while futures:
+                place, result, error = self._next(results, futures, what)
+                del futures[place]
+                if error is not None:
+                    raise error
+                yield place, result
         except distributed.scheduler.KilledWorker as error:
             raise WorkersLostError(self._out_of_memory(what, error.allowed_failures + 1)) from None
-        except (CancelledError, OSError, TimeoutError) as error:
+        except (distributed.client.FutureCancelledError, OSError, TimeoutError) as error:
             raise WorkersLostError(
                 f"{what}: the Dask cluster at {self._scheduler} was lost "
                 f"({_first_line(error)}). {KEPT} See that `dask scheduler` and its workers run, "
                 "then run it again, or leave dask_scheduler out to run it here."
             ) from None
         finally:
-            for future in running:
-                future.cancel()
+            done.put(None)
+            if futures and self._client.status == "running":
+                self._client.cancel(list(futures.values()))
 
     def _send(self, shared):
         """The future of what all jobs share.
@@ -280,13 +285,14 @@ class _Cluster:
             self._sent = (shared, future)
         return self._sent[1]
 
-    def _finished(self, running, keys, what: str):
-        """Futures that are done, one at least; an error where none will ever be."""
+    def _next(self, results, futures, what: str) -> tuple[int, Any, BaseException | None]:
+        """What comes next: (place, result, None) or (place, None, error)."""
         since = time.monotonic()
         while True:
-            if done := wait_for(running, 1.0, FIRST_COMPLETED).done:
-                return done
-            if (losses := max(self._losses[key] for key in keys)) >= LOSSES:
+            with suppress(queue.Empty):
+                return results.get(timeout=1.0)
+            losses = max(self._losses[future.key] for future in futures.values())
+            if losses >= LOSSES:
                 raise WorkersLostError(self._out_of_memory(what, losses))
             if self._client.status != "running" or self._workers():
                 since = time.monotonic()
@@ -313,6 +319,18 @@ class _Cluster:
             f"s. {KEPT} Start some (`dask worker {self._scheduler} --nthreads 1`), or leave "
             "dask_scheduler out to run it here."
         )
+
+
+def _fetch(futures, done, results) -> None:
+    """Bring results here as they finish.
+
+    In a thread of its own: a client waits without end for a result whose workers keep dying.
+    """
+    while (place := done.get()) is not None:
+        try:
+            results.put((place, futures[place].result(), None))
+        except BaseException as error:
+            results.put((place, None, error))
 
 
 def _run_on_worker(versions, function, shared, job):

@@ -35,13 +35,13 @@ def _keep_all(monkeypatch):
 def computed(monkeypatch):
     """(parameters, replicate) of each replicate that is computed."""
     seen = []
-    run_part = replicates._run_part
+    run_part = replicates.run_part
 
     def watched(run, first, last):
         seen.extend((str(run.parameters), k) for k in range(first, last))
         return run_part(run, first, last)
 
-    monkeypatch.setattr(replicates, "_run_part", watched)
+    monkeypatch.setattr(replicates, "run_part", watched)
     return seen
 
 
@@ -175,12 +175,12 @@ def test_parts_join_to_the_same_whole_in_any_cut_and_order(setup, cuts, order, s
     collected = Collected()
     early = some.draw(st.integers(0, len(parts)))
     for part in parts[:early]:
-        collected.add(replicates._run_part(run, *part))
+        collected.add(replicates.run_part(run, *part))
     assert sorted(parts[early:]) == _fused(collected.gaps(COUNT), bounds)
     for part in parts[early:]:
-        collected.add(replicates._run_part(run, *part))
+        collected.add(replicates.run_part(run, *part))
     assert collected.gaps(COUNT) == []
-    whole, expected = collected.whole(), replicates._run_part(run, 0, COUNT)
+    whole, expected = collected.whole(), replicates.run_part(run, 0, COUNT)
     assert whole.readings.keys() == expected.readings.keys()
     for name, values in whole.readings.items():
         np.testing.assert_array_equal(values, expected.readings[name])
