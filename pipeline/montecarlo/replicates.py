@@ -198,12 +198,13 @@ def _collect(
     if chunk is None:
         missing = sum(last - first for first, last in gaps)
         chunk = math.ceil(missing / pieces(run.seconds(missing), workers.workers)) or 1
+    others = replace(run, setup=None)  # a cluster gets a setup once for all that is run on it
     jobs = [
-        (start, min(start + chunk, last))
+        (others, start, min(start + chunk, last))
         for first, last in gaps
         for start in range(first, last, chunk)
     ]
-    for _, part in workers.each(run_part, jobs, run):
+    for _, part in workers.each(_run_part_of, jobs, run.setup):
         if part.sums is not None:
             part.sums.setup = run.setup
         if shelf:
@@ -211,6 +212,10 @@ def _collect(
         collected.add(part)
         if progress:
             progress.computed(part.last - part.first)
+
+
+def _run_part_of(setup: Setup, run: Run, first: int, last: int) -> Part:
+    return run_part(replace(run, setup=setup), first, last)
 
 
 def run_part(run: Run, first: int, last: int) -> Part:
