@@ -19,7 +19,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,6 +47,9 @@ from pipeline.lattice.flow import (
 from pipeline.lattice.grid import GRAVITY
 from pipeline.lattice.stress import spreading_weights, stress_sweep
 from pipeline.lattice.stress_reference import stress_sweep_reference
+from pipeline.montecarlo.parts import Collected
+from pipeline.montecarlo.replicates import Run, run_part
+from pipeline.montecarlo.workers import Crew, Execution, crew
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import Setup, make_setup, simulate
 from pipeline.yardsticks import (
@@ -62,10 +67,13 @@ CELLS_A_VISIT = 40
 READS = 100_000
 MINE = 27_000_000  # cells from which the targets of a mine's lattice hold
 HUGE = 99_000_000  # and those of the largest
+TESTED, MANY = 37, 10_000  # side of a lattice of 50 000 cells; replicates that targets are for
+TASKS = 8
 
 
 class Sizes(NamedTuple):
-    """Sides of the cubic lattices, in cells, and how often each figure is taken."""
+    """Sides of the cubic lattices, in cells, how often each figure is taken, and of how many
+    replicates those of processes and Dask are."""
 
     static: tuple[int, ...]
     flow: tuple[int, ...]
@@ -74,10 +82,11 @@ class Sizes(NamedTuple):
     memory: int
     scaling: tuple[int, ...]
     repeats: int
+    replicates: int = 400
 
 
 QUICK = Sizes((37, 100), (64, 100), 12, 60, 144, (46, 67, 100, 144), 5)
-FULL = Sizes((37, 100, 300), (64, 300), 12, 60, 215, (46, 67, 100, 144, 215, 300, 464), 7)
+FULL = Sizes((37, 100, 300), (64, 300), 12, 60, 215, (46, 67, 100, 144, 215, 300, 464), 7, 10_000)
 
 
 class Target(NamedTuple):
@@ -649,6 +658,78 @@ def scaling_figures(
 
 
 # ---------------------------------------------------------------------------------------------
+# replicates in processes and on Dask
+
+
+def replicates_figures(side: int, count: int, repeats: int) -> Iterator[Figure]:
+    """The same tasks, fields and all, in this process, by two threads or processes, and on Dask.
+
+    Dask's workers are processes of one thread on this machine; they run, and have what tasks
+    share, before the time is taken. What Dask costs is what one of its workers takes longer than
+    this process does.
+    """
+    setup = _setup(cube(side))
+    run = Run(setup, declared_parameters(setup.experiment))
+    bounds = np.linspace(0, count, TASKS + 1).astype(int).tolist()
+
+    def tasks(workers: Crew) -> Action:
+        def act(_):
+            collected = Collected()
+            for _, part in workers.each(run_part, list(pairwise(bounds)), run):
+                if part.sums is not None:
+                    part.sums.setup = setup
+                collected.add(part)
+            return collected.count
+
+        return Action(act)
+
+    here, threads = crew(Execution(1)), crew(Execution(2))
+    processes = crew(Execution(2), processes=True)
+    with here as one, threads as two_threads, processes as two, ExitStack() as stack:
+        one_of_dask, two_of_dask = (stack.enter_context(_dask_crew(n)) for n in (1, 2))
+        about = {
+            "unit": "replicates/s",
+            "shapes": (setup.code.shape,),
+            "dtype": "float32",
+            "remark": f"{count} replicates in {TASKS} tasks",
+        }
+        is_large = count >= MANY
+        rates = measure(
+            {
+                "replicates in this process": tasks(one),
+                "by two threads": tasks(two_threads),
+                "by two processes": tasks(two),
+                "on Dask, one worker process": tasks(one_of_dask),
+                "on Dask, two worker processes": tasks(two_of_dask),
+            },
+            repeats,
+        )
+    dask = ("on Dask, one worker process", "on Dask, two worker processes")
+    goals = {
+        "by two processes": (Target("ratio", 1.85),),
+        dask[0]: (Target("ratio", 1 / 1.05),),
+        dask[1]: (Target("ratio", 1.85),),
+    }
+    goals = goals if is_large else {}
+    local = {name: values for name, values in rates.items() if name != dask[1]}
+    yield from _figures(local, "replicates in this process", goals, **about)
+    yield from _figures({name: rates[name] for name in dask}, dask[0], goals, **about)
+
+
+@contextmanager
+def _dask_crew(workers: int) -> Iterator[Crew]:
+    from distributed import LocalCluster
+
+    with (
+        LocalCluster(
+            n_workers=workers, threads_per_worker=1, dashboard_address=":0", host="127.0.0.1"
+        ) as cluster,
+        crew(Execution(scheduler=cluster.scheduler_address)) as ready,
+    ):
+        yield ready
+
+
+# ---------------------------------------------------------------------------------------------
 # all of it
 
 
@@ -665,6 +746,7 @@ def run_benchmark(sizes: Sizes) -> dict[str, Any]:
     for side in sizes.flow:
         figures += flow_figures(side, repeats)
     figures += laboratory_figures(repeats)
+    figures += replicates_figures(TESTED, sizes.replicates, min(repeats, 3))
     memory, of_static = memory_figures(sizes.memory, min(repeats, 2))
     figures += memory
     figures += scaling_figures(sizes.scaling, min(repeats, 3), of_static, skipped)

@@ -17,7 +17,16 @@ from pipeline import benchmark
 from pipeline.benchmark import Figure, Memory, Sizes, Target, as_table, scaling_figures
 from pipeline.yardsticks import published_sweep, published_sweep_by_levels, random_reads, triad
 
-TINY = Sizes(static=(6,), flow=(12,), reference=4, plane=6, memory=12, scaling=(6, 9), repeats=2)
+TINY = Sizes(
+    static=(6,),
+    flow=(12,),
+    reference=4,
+    plane=6,
+    memory=12,
+    scaling=(6, 9),
+    repeats=2,
+    replicates=8,
+)
 SWEEPS = (published_sweep, published_sweep_by_levels)
 
 
@@ -62,6 +71,8 @@ def test_every_yardstick_and_every_part_is_there(printed):
         assert word in names
     for word in ("elsewhere", "memory of a static", "draw replicate adds", "power of wall time"):
         assert word in names
+    for word in ("two threads", "two processes", "Dask, one worker", "Dask, two workers"):
+        assert word.removesuffix("s") in names
     quoted = [figure for figure in figures if figure["yardstick"]["quoted"]]
     assert [figure["unit"] for figure in quoted] == ["kg/s"]
 

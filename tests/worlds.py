@@ -20,8 +20,8 @@ from pipeline.effects import Active, effects
 from pipeline.files.atomic import read_json, write_json
 from pipeline.lattice.block_model import build_block_model
 from pipeline.loop.problem import Problem, make_problem, measured_rows
-from pipeline.montecarlo.replicates import Execution
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
+from pipeline.montecarlo.workers import Execution
 from pipeline.observe import RowReader
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import make_setup, simulate

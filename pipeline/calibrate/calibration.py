@@ -18,8 +18,9 @@ from scipy.optimize import least_squares, minimize
 
 from pipeline.config.experiment import Experiment
 from pipeline.config.measured import MeasuredRow
-from pipeline.montecarlo.replicates import Execution, replicates_dataset, run_replicates
+from pipeline.montecarlo.replicates import replicates_dataset, run_replicates
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING
+from pipeline.montecarlo.workers import Execution
 from pipeline.observe import (
     GEOMETRY,
     SPREAD,

@@ -434,6 +434,18 @@ class Readings(Strict):
     )
 
 
+class StopAt(Strict):
+    """When to stop before all replicates have run.
+
+    It is looked at after ``at_least`` replicates, and each time that their number has doubled.
+    """
+
+    standard_error: quantity("a stress in kPa, above 0", gt=0)
+    """Largest standard error of a load cell's mean vertical stress, at any reading, kPa."""
+    at_least: whole("a whole number from 2 to 1000000", ge=2, le=10**6) = 20
+    """Number of replicates to run in any case."""
+
+
 class PublishedFact(Strict):
     """What was published of σ_v/σ_v0 in some load cells during draw, to be checked by sign."""
 
@@ -612,6 +624,12 @@ def _calibrate_is_possible(calibrate, draw) -> Iterator[Found]:
             yield ("calibrate", place), "acts only during draw, and this experiment has no draw"
 
 
+def _stop_comes_before_the_end(replicates, stop_at) -> Iterator[Found]:
+    if stop_at is not None and stop_at.at_least > replicates:
+        text = f"expected at most the number of replicates ({replicates})"
+        yield ("stop_at", "at_least"), text
+
+
 def _assumed_keys_exist(assumed) -> Iterator[Found]:
     keys = [field.alias or name for name, field in Experiment.model_fields.items()]
     for place, entry in enumerate(assumed):
@@ -654,7 +672,9 @@ class Experiment(Strict):
     effects: EffectBlock = Field(default_factory=dict)
     """Declared effects: name to parameters; those of a load cell: name to load cell to them."""
     replicates: whole("a whole number from 1 to 1000000", ge=1, le=10**6) = 10
-    """Number of replicates."""
+    """Number of replicates; with ``stop_at``, at most so many."""
+    stop_at: StopAt | None = None
+    """Precision at which fewer replicates are enough."""
     seed: whole("a whole number from 0 to 2^63 - 1", ge=0, le=2**63 - 1) = 0
     """Root of all random numbers of this experiment."""
     measured: Annotated[str, Field(pattern=r"\.(csv|nc)$")] | None = None
@@ -685,6 +705,7 @@ class Experiment(Strict):
         _readings_end_with_the_draw,
         _calibrate_is_possible,
         effects_fit,
+        _stop_comes_before_the_end,
         _assumed_keys_exist,
     )
 

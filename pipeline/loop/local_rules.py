@@ -13,8 +13,8 @@ from pipeline.effects.local_rule import CHANNELS, WEIGHT_PART
 from pipeline.lattice.adjoint import Influence
 from pipeline.loop.hypotheses import Hypothesis
 from pipeline.loop.model import Model, Point
-from pipeline.montecarlo.replicates import run_tasks
 from pipeline.montecarlo.streams import LOOP_PACKING
+from pipeline.montecarlo.workers import run_tasks
 from pipeline.sensitivity.footprints import row_gradients
 from pipeline.simulate import Sweep
 

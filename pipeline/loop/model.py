@@ -19,8 +19,8 @@ from pipeline.config.measured import MeasuredRow
 from pipeline.config.study import Shared
 from pipeline.effects import Active, apply, declared_effects, effects, ordered
 from pipeline.lattice.block_model import build_block_model
-from pipeline.montecarlo.replicates import Execution, run_tasks
 from pipeline.montecarlo.streams import LOOP_FLOW, LOOP_PACKING, random_stream
+from pipeline.montecarlo.workers import Execution, run_tasks
 from pipeline.observe import GEOMETRY, RowReader, only_measured
 from pipeline.parameters import Parameters, carry_transmission, declared_parameters
 from pipeline.simulate import FlowRecord, Setup, make_setup, record_flow, simulate

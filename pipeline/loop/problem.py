@@ -15,7 +15,7 @@ from pipeline.config.measured import MeasuredRow, read_measured
 from pipeline.config.study import HeldOutLoadCells, HeldOutTail, Study
 from pipeline.loop.data import Data, observed
 from pipeline.loop.model import Case, Model, declared_of
-from pipeline.montecarlo.replicates import Execution
+from pipeline.montecarlo.workers import Execution
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,8 @@ from pipeline.loop.next_measurement import next_measurements, recommended
 from pipeline.loop.problem import Fold, Problem, predictable, subset
 from pipeline.loop.rounds import Outcome, close
 from pipeline.loop.scores import VARIANTS, errors, predicted, ratio_interval
-from pipeline.montecarlo.replicates import run_tasks
 from pipeline.montecarlo.streams import LOOP_BOOTSTRAP, random_stream
+from pipeline.montecarlo.workers import run_tasks
 
 SCHEMA_VERSION = "1.0"
 

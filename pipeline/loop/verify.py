@@ -16,7 +16,8 @@ from pipeline.effects import Active, declared_effects
 from pipeline.lattice.block_model import build_block_model
 from pipeline.loop.documents import point_from
 from pipeline.loop.problem import Problem
-from pipeline.montecarlo.replicates import Execution, replicates_dataset, run_replicates
+from pipeline.montecarlo.replicates import replicates_dataset, run_replicates
+from pipeline.montecarlo.workers import Execution
 from pipeline.observe import only_measured, simulated_rows
 from pipeline.parameters import Parameters, declared_parameters
 from pipeline.simulate import make_setup

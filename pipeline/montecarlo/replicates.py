@@ -1,46 +1,29 @@
-"""Monte Carlo replicates in chunks on Dask, reduced inside the task."""
+"""Monte Carlo replicates in parts: computed by a crew of workers, reduced inside the task."""
 
 from __future__ import annotations
 
 import logging
 import math
-import os
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
 
-import dask
 import numpy as np
 import xarray as xr
 
+from pipeline.config.experiment import StopAt
 from pipeline.files.netcdf import AS_DECLARED, WITHOUT_ZONE
+from pipeline.montecarlo.checkpoints import Checkpoints, Shelf
 from pipeline.montecarlo.fields import FieldSums
+from pipeline.montecarlo.parts import DIMS, Collected, Part, stack, unstack
+from pipeline.montecarlo.progress import Progress
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
+from pipeline.montecarlo.workers import Crew, Execution, crew, pieces
 from pipeline.parameters import Parameters
 from pipeline.simulate import Readings, Setup, load_cells, simulate
 
 log = logging.getLogger(__name__)
 
-DIMS = {  # of a Readings attribute, after `replicate`
-    "vertical_stress": ("time", "load_cell"),
-    "base_vertical_stress": ("time",),
-    "base_vertical_stress_std": ("time",),
-    "weight_balance_error": ("time",),
-    "negative_s_share": (),
-    "movement_zone_height": ("time",),
-    "movement_zone_width": ("time",),
-    "replicate_mass_drawn": ("time",),
-    "drawpoint_shortfall": ("drawpoint",),
-    "hang_ups": (),
-    "drawn_cell": ("extraction",),
-    "drawn_drawpoint": ("extraction",),
-    "drawn_mass": ("extraction",),
-    "replicate_vertical_stress": ("time", "z", "y", "x"),
-}
 VARIED = (  # kept of a variant
     "vertical_stress",
     "base_vertical_stress",
@@ -48,19 +31,27 @@ VARIED = (  # kept of a variant
     "movement_zone_height",
     "movement_zone_width",
 )
+# a guess at what a replicate takes, s; it decides nothing but how replicates are shared out
+SECONDS_A_REPLICATE, SECONDS_A_CELL = 2.5e-4, 2e-8
+LARGE = 1_000_000  # cells from which Python's share of a replicate is too small to hold up threads
 
 
 @dataclass(frozen=True)
-class Execution:
-    """Where replicates run: `workers` threads, or the Dask cluster at `scheduler`.
+class Run:
+    """Replicates to do: everything that decides them but their number.
 
-    `chunk` is the number of replicates in a task (None: a few tasks for each worker). None of the
-    three changes a bit of the results.
+    `purposes` are the stream purposes of packing and flow; `fields` asks for field sums.
     """
 
-    workers: int = 1
-    scheduler: str = ""
-    chunk: int | None = None
+    setup: Setup
+    parameters: Parameters
+    purposes: tuple[int, int] = (PACKING, FLOW)
+    fields: bool = True
+
+    def seconds(self, count: int) -> float:
+        """A guess at what `count` replicates take on one core, s."""
+        cells = self.setup.code.size * self.setup.times
+        return count * (SECONDS_A_REPLICATE + SECONDS_A_CELL * cells)
 
 
 def run_replicates(
@@ -75,42 +66,176 @@ def run_replicates(
 
     `purposes` are the stream purposes of packing and flow.
     """
-    chunk = execution.chunk or math.ceil(count / execution.workers / (4 if fields else 1))
-    parts = [
-        (setup, parameters, first, min(first + chunk, count), purposes, fields)
-        for first in range(0, count, chunk)
-    ]
-    parts = run_tasks([partial(_run_chunk, *part) for part in parts], execution)
-    sums = None
-    if fields:
-        sums = FieldSums.empty(setup)
-        for _, part in parts:
-            sums += part
-    return [readings for chunk_readings, _ in parts for readings in chunk_readings], sums
+    run = Run(setup, parameters, purposes, fields)
+    collected = Collected()
+    with _crew_for(run, count, execution) as workers:
+        _collect(run, count, collected, workers, execution.chunk)
+    whole = collected.whole()
+    return unstack(whole.readings), whole.sums
 
 
 def run_experiment(
-    setup: Setup, used: Parameters, declared: Parameters, execution: Execution = Execution()
+    setup: Setup,
+    used: Parameters,
+    declared: Parameters,
+    execution: Execution = Execution(),
+    checkpoints: Checkpoints | None = None,
 ) -> tuple[xr.Dataset, xr.Dataset]:
     """Content of `replicates.nc` and `fields.nc` of an experiment.
 
     Runs the experiment's replicates with the parameters `used`; on the same streams once more
     with those `declared`, where calibration changed them, and in a draw experiment with a
-    movement zone that carries stress like stagnant ground (R = 1, E_min = E).
+    movement zone that carries stress like stagnant ground (R = 1, E_min = E). What
+    `checkpoints` hold of them is not computed again.
     """
-    name, count = setup.experiment.name, setup.experiment.replicates
-    with progress(name, count):
-        replicates, sums = run_replicates(setup, used, count, execution)
+    experiment = setup.experiment
     variants = {}
     if declared != used:
         variants[AS_DECLARED] = declared
     if setup.masses:
         variants[WITHOUT_ZONE] = replace(used, R=1.0, E_min=None)
-    others = {}
-    for suffix, parameters in variants.items():
-        with progress(f"{name}{suffix}", count):
-            others[suffix], _ = run_replicates(setup, parameters, count, execution, fields=False)
-    return replicates_dataset(setup, replicates, others), sums.finalise()
+    run = Run(setup, used)
+    with _crew_for(run, experiment.replicates, execution) as workers:
+        chunk = execution.chunk
+        main = _run_on(
+            run, experiment.replicates, experiment.stop_at, workers, chunk, "", checkpoints
+        )
+        others = {
+            suffix: _run_on(
+                Run(setup, parameters, fields=False),
+                main.last,
+                None,
+                workers,
+                chunk,
+                suffix,
+                checkpoints,
+            ).readings
+            for suffix, parameters in variants.items()
+        }
+    if checkpoints is not None:
+        checkpoints.keep_only_whole()
+    return _dataset(setup, main.readings, others), main.sums.finalise()
+
+
+def _run_on(run, most, stop_at, workers, chunk, suffix, checkpoints) -> Part:
+    """Replicates of one set of parameters: `most`, or fewer where `stop_at` says so."""
+    name = f"{run.setup.experiment.name}{suffix}"
+    shelf = None
+    if checkpoints is not None:
+        shelf = checkpoints.shelf(run.setup, run.parameters, run.purposes, run.fields)
+    progress = Progress(name, most)
+    collected = _found(shelf, most)
+    progress.found(collected.count)
+    for goal in _goals(most, stop_at):
+        _collect(run, goal, collected, workers, chunk, shelf, progress)
+        if goal == most or _is_precise(name, collected.first_stresses(goal), stop_at):
+            break
+    if collected.count > goal:  # more were found than are wanted, and sums cannot be taken apart
+        collected = _found(shelf, goal)
+        _collect(run, goal, collected, workers, chunk, shelf, progress)
+    progress.end()
+    whole = collected.whole()
+    if shelf:
+        shelf.whole = whole
+    return whole
+
+
+def _found(shelf: Shelf | None, count: int) -> Collected:
+    collected = Collected()
+    for part in shelf.parts(count) if shelf else ():
+        collected.add(part)
+    return collected
+
+
+def _goals(most: int, stop_at: StopAt | None) -> Iterator[int]:
+    """Counts of replicates after which the precision is looked at; the last is `most`.
+
+    They double from `at_least`, whoever computes: so the count does not hang on the workers.
+    """
+    goal = most if stop_at is None else stop_at.at_least
+    while goal < most:
+        yield goal
+        goal *= 2
+    yield most
+
+
+def _is_precise(name: str, stress: np.ndarray, stop_at: StopAt) -> bool:
+    """Whether every load cell's mean is known well enough, at every reading.
+
+    `stress` is (replicate, time, load_cell), kPa.
+    """
+    largest = float((stress.std(axis=0, ddof=1) / math.sqrt(len(stress))).max())
+    reached = largest <= stop_at.standard_error
+    log.info(
+        "%s: the largest standard error of %d replicates is %.4g kPa, %s %.4g kPa: %s",
+        name,
+        len(stress),
+        largest,
+        "within" if reached else "above",
+        stop_at.standard_error,
+        "enough" if reached else "going on",
+    )
+    return reached
+
+
+def _crew_for(run: Run, count: int, execution: Execution):
+    is_long = run.seconds(count) > 1.0
+    small = run.setup.code.size < LARGE
+    return crew(execution, run.setup.experiment.name, processes=is_long and small)
+
+
+def _collect(
+    run: Run,
+    count: int,
+    collected: Collected,
+    workers: Crew,
+    chunk: int | None = None,
+    shelf: Shelf | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Compute what is missing of the first `count` replicates."""
+    gaps = collected.gaps(count)
+    if chunk is None:
+        missing = sum(last - first for first, last in gaps)
+        chunk = math.ceil(missing / pieces(run.seconds(missing), workers.workers)) or 1
+    others = replace(run, setup=None)  # a cluster gets a setup once for all that is run on it
+    jobs = [
+        (others, start, min(start + chunk, last))
+        for first, last in gaps
+        for start in range(first, last, chunk)
+    ]
+    for _, part in workers.each(_run_part_of, jobs, run.setup):
+        if part.sums is not None:
+            part.sums.setup = run.setup
+        if shelf:
+            shelf.keep(part)
+        collected.add(part)
+        if progress:
+            progress.computed(part.last - part.first)
+
+
+def _run_part_of(setup: Setup, run: Run, first: int, last: int) -> Part:
+    return run_part(replace(run, setup=setup), first, last)
+
+
+def run_part(run: Run, first: int, last: int) -> Part:
+    """Replicates `first` … `last` − 1; the sums go without the setup, which the caller has."""
+    start = time.perf_counter()
+    sums = FieldSums.empty(run.setup) if run.fields else None
+    experiment = run.setup.experiment
+    replicates = []
+    for replicate in range(first, last):
+        packing, flow = (
+            random_stream(experiment.seed, experiment.name, purpose, replicate)
+            for purpose in run.purposes
+        )
+        observe = None
+        if sums is not None:
+            observe = sums.observe if replicate else sums.observe_first
+        replicates.append(simulate(run.setup, run.parameters, packing, flow, observe))
+    if sums is not None:
+        sums.count, sums.setup = last - first, None
+    return Part(first, last, stack(replicates), sums, time.perf_counter() - start)
 
 
 def replicates_dataset(
@@ -123,10 +248,15 @@ def replicates_dataset(
     `variants` are the same replicates with other parameters, by the suffix that the names of
     their stress readings get. The extraction record is padded with -1.
     """
+    others = {suffix: stack(readings) for suffix, readings in (variants or {}).items()}
+    return _dataset(setup, stack(replicates), others)
+
+
+def _dataset(setup, readings, variants) -> xr.Dataset:
     experiment = setup.experiment
-    data = dict(_stacked(replicates))
-    for suffix, readings in (variants or {}).items():
-        data |= {f"{name}{suffix}": value for name, value in _stacked(readings) if name in VARIED}
+    data = dict(_on_dims(readings))
+    for suffix, others in variants.items():
+        data |= {f"{name}{suffix}": value for name, value in _on_dims(others) if name in VARIED}
     if setup.masses:
         data["mass_drawn"] = ("time", np.array(setup.masses))
         data["drawpoint_name"] = ("drawpoint", _names(experiment.drawpoints))
@@ -134,7 +264,7 @@ def replicates_dataset(
         data["fill_height"] = ("time", np.array(setup.fill_levels))
     coords = {
         "time": ("time", np.arange(setup.times, dtype=np.float64)),
-        "replicate": ("replicate", np.arange(len(replicates), dtype=np.int32)),
+        "replicate": ("replicate", np.arange(len(readings["vertical_stress"]), dtype=np.int32)),
     }
     if experiment.keep_fields:
         coords |= {axis: (axis, setup.lattice.centers(axis)) for axis in "zyx"}
@@ -146,84 +276,10 @@ def replicates_dataset(
     return xr.Dataset(data, coords=coords)
 
 
-def run_tasks(
-    tasks: Sequence[Callable[[], Any]], execution: Execution, processes: bool = False
-) -> list[Any]:
-    """Results of tasks without arguments, in order: here with one worker, else through Dask.
-
-    Without arguments, because Dask would look through every one of them for its own collections.
-    `processes` is for tasks of many seconds that are more Python than kernel.
-    """
-    if execution.workers == 1 and not execution.scheduler:
-        return [task() for task in tasks]
-    delayed = [dask.delayed(task, pure=False)() for task in tasks]
-    if processes and hasattr(os, "fork") and not execution.scheduler:
-        workers = min(execution.workers, len(tasks))  # forked: others would run the job's script
-        with dask.config.set({"multiprocessing.context": "fork"}):
-            return list(dask.compute(*delayed, scheduler="processes", num_workers=workers))
-    with dask_session(execution):
-        return list(dask.compute(*delayed))
-
-
-@contextmanager
-def dask_session(execution: Execution) -> Iterator[None]:
-    """The only place that configures Dask: a thread pool, or a client of a running cluster."""
-    if not execution.scheduler:
-        with dask.config.set(scheduler="threads", num_workers=execution.workers):
-            yield
-        return
-    from distributed import Client
-
-    with Client(execution.scheduler, set_as_default=True):
-        yield
-
-
-def _run_chunk(setup, parameters, first, last, purposes, fields):
-    sums = FieldSums.empty(setup) if fields else None
-    readings = []
-    experiment = setup.experiment
-    for replicate in range(first, last):
-        packing, flow = (
-            random_stream(experiment.seed, experiment.name, purpose, replicate)
-            for purpose in purposes
-        )
-        observe = None
-        if sums is not None:
-            observe = sums.observe if replicate else sums.observe_first
-        readings.append(simulate(setup, parameters, packing, flow, observe))
-    if sums is not None:
-        sums.count = last - first
-    return readings, sums
-
-
-@contextmanager
-def progress(name: str, count: int) -> Iterator[None]:
-    """Around `run_replicates`: a bar on a terminal, two lines in a log."""
-    start = time.perf_counter()
-    log.info("%s: %d replicates", name, count)
-    bar = nullcontext()
-    if sys.stderr.isatty():
-        from dask.diagnostics import ProgressBar
-
-        bar = ProgressBar(out=sys.stderr)
-    with bar:
-        yield
-    log.info("%s: %d replicates took %.2f s", name, count, time.perf_counter() - start)
-
-
-def _stacked(replicates: Sequence[Readings]) -> Iterator[tuple[str, tuple]]:
+def _on_dims(readings: Mapping[str, np.ndarray]) -> Iterator[tuple[str, tuple]]:
     for name, dims in DIMS.items():
-        values = [getattr(readings, name) for readings in replicates]
-        if any(value is None for value in values):
-            continue
-        if dims == ("extraction",):
-            longest = max(len(value) for value in values)
-            padded = np.full((len(values), longest), -1, dtype=values[0].dtype)
-            for row, value in zip(padded, values, strict=True):
-                row[: len(value)] = value
-            yield name, (("replicate", *dims), padded)
-        else:
-            yield name, (("replicate", *dims), np.array(values))
+        if name in readings:
+            yield name, (("replicate", *dims), readings[name])
 
 
 def _names(items: Sequence) -> np.ndarray:

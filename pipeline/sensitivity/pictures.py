@@ -11,7 +11,8 @@ import xarray as xr
 from pipeline.config.experiment import Experiment
 from pipeline.effects import Active, effects
 from pipeline.lattice.block_model import build_block_model
-from pipeline.montecarlo.replicates import Execution, run_replicates
+from pipeline.montecarlo.replicates import run_replicates
+from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import Setup, make_setup
 

@@ -20,13 +20,9 @@ from pipeline.effects import Active, State, apply, lacking, ordered
 from pipeline.lattice.adjoint import Influence
 from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import MOVEMENT, STAGNANT
-from pipeline.montecarlo.replicates import (
-    Execution,
-    replicates_dataset,
-    run_replicates,
-    run_tasks,
-)
+from pipeline.montecarlo.replicates import replicates_dataset, run_replicates
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, random_stream
+from pipeline.montecarlo.workers import Execution, run_tasks
 from pipeline.observe import GEOMETRY, simulated_rows
 from pipeline.parameters import Parameters
 from pipeline.sensitivity.footprints import row_gradients

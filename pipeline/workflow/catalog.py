@@ -43,6 +43,7 @@ class Catalog:
 
     def __init__(self, config: Mapping[str, object]):
         self.results = str(config["results_dir"]).rstrip("/")
+        self._on_cluster = bool(config["dask_scheduler"])
         own = {key: str(config[key]).rstrip("/") == folder for key, folder in OWN.items()}
         self._known = load_experiments(Path(str(config["experiments_dir"])))
         found: list[tuple[Path, str]] = []
@@ -79,10 +80,15 @@ class Catalog:
         """
         experiment = self.experiments[name]
         parts = [digest(experiment), repr([_said(row) for row in check_measured(experiment)])]
-        parts += [_digest_with_imports(PACKAGE / "effects" / f"{e}.py") for e in experiment.effects]
+        parts.append(self.effects(name))
         if experiment.mask_path is not None:
             parts.append(hashlib.sha256(experiment.mask_path.read_bytes()).hexdigest())
         return _sha256("".join(parts))
+
+    def effects(self, name: str) -> str:
+        """Digest of the code of the effects that an experiment declares."""
+        modules = [PACKAGE / "effects" / f"{e}.py" for e in self.experiments[name].effects]
+        return "".join(_digest_with_imports(module) for module in modules)
 
     def blind_scores(self) -> list[str]:
         """Path of a blind benchmark's `scores.json` and its digest; nothing where none was run."""
@@ -134,15 +140,20 @@ class Catalog:
         chains = (sources(self.experiments[one], self.experiments) for one in named)
         return list(dict.fromkeys(one.name for chain in chains for one in chain))
 
-    def threads(self, name: str, cores: int) -> int:
-        """One thread for a small experiment, all cores for a large one."""
+    def threads(self, name: str, cores: int | None) -> int:
+        """One thread for a small experiment, all cores for a large one.
+
+        On a Dask cluster one for each: its workers compute, and the job waits for them.
+        """
+        if self._on_cluster:
+            return 1
         experiment = self.experiments[name]
         g = experiment.geometry
         cells = g.width * g.length * g.height / g.cell_size**3
         readings = 1
         if experiment.is_draw and experiment.readings.every:
             readings = experiment.mass_scheduled / experiment.readings.every
-        return cores if cells * readings * experiment.replicates > SMALL_RUN else 1
+        return (cores or 1) if cells * readings * experiment.replicates > SMALL_RUN else 1
 
 
 def _said(row) -> tuple:

@@ -12,7 +12,7 @@ from pipeline.effects import effects
 from pipeline.loop.covariance import noise
 from pipeline.loop.fit import calibrated, fit
 from pipeline.loop.model import STEP, Term, limits
-from pipeline.montecarlo.replicates import Execution
+from pipeline.montecarlo.workers import Execution
 
 
 def term(name, parameter, model, key=None, scope="study", cases=None):

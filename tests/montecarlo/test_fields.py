@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import AIR, MOVEMENT, OUTSIDE, VOID
 from pipeline.montecarlo.fields import FieldSums
-from pipeline.montecarlo.replicates import Execution, run_replicates
+from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
+from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import make_setup, simulate
 

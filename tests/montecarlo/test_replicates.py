@@ -4,56 +4,24 @@ import numpy as np
 import pytest
 
 from pipeline.lattice.block_model import build_block_model
-from pipeline.montecarlo.replicates import (
-    Execution,
-    replicates_dataset,
-    run_experiment,
-    run_replicates,
-)
+from pipeline.montecarlo import replicates, workers
+from pipeline.montecarlo.replicates import replicates_dataset, run_experiment, run_replicates
+from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import make_setup, visits
 
 
-@pytest.fixture(scope="module", params=["static", "draw"])
-def setup(request, column, drawn):
-    make = column if request.param == "static" else drawn
-    changes = {"filling": {"levels": [0.3]}} if request.param == "static" else {}
-    experiment = make(replicates=10, keep_fields=True, **changes)
-    return make_setup(experiment, build_block_model(experiment))
-
-
-@pytest.fixture(scope="module")
-def alone(setup):
-    """Replicates and fields from one worker."""
-    return _run(setup, Execution())
-
-
-def _run(setup, execution):
-    declared = declared_parameters(setup.experiment)
-    return run_experiment(setup, declared.with_values({"s": 2.0}), declared, execution)
-
-
-def _assert_same_bits(results, others):
-    for result, other in zip(results, others, strict=True):
-        assert set(result.variables) == set(other.variables)
-        for name in result.variables:
-            np.testing.assert_array_equal(result[name], other[name], err_msg=name)
-
-
 @pytest.mark.parametrize("chunk", [1, 3, 8, 100, None])
-@pytest.mark.parametrize("workers", [1, 2])
-def test_no_bit_depends_on_chunks_or_workers(setup, alone, chunk, workers):
-    _assert_same_bits(_run(setup, Execution(workers, chunk=chunk)), alone)
+@pytest.mark.parametrize("threads", [1, 2])
+def test_no_bit_depends_on_chunks_or_threads(setup, alone, run, assert_same_bits, chunk, threads):
+    assert_same_bits(run(setup, Execution(threads, chunk=chunk)), alone)
 
 
-@pytest.mark.workflow
-def test_no_bit_depends_on_a_cluster_of_processes(setup, alone):
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
-        results = _run(setup, Execution(2, cluster.scheduler_address))
-    _assert_same_bits(results, alone)
+@pytest.mark.parametrize("chunk", [3, None])
+def test_no_bit_depends_on_processes(setup, alone, run, assert_same_bits, chunk, monkeypatch):
+    monkeypatch.setattr(replicates, "SECONDS_A_REPLICATE", 10.0)  # long enough for processes
+    monkeypatch.delattr(workers, "_each_in_threads")
+    assert_same_bits(run(setup, Execution(2, chunk=chunk)), alone)
 
 
 def test_a_replicate_does_not_depend_on_how_many_there_are(setup):
@@ -69,17 +37,17 @@ def test_a_replicate_does_not_depend_on_how_many_there_are(setup):
             np.testing.assert_array_equal(kept[..., :width], other[..., :width], err_msg=name)
 
 
-def test_replicates_and_experiments_differ_from_each_other(setup, alone):
+def test_replicates_and_experiments_differ_from_each_other(setup, alone, run):
     base = alone[0]["base_vertical_stress_std"].values[:, -1]
     assert len(set(base)) == len(base)
     other = make_setup(setup.experiment.at("elsewhere.yaml"), build_block_model(setup.experiment))
-    assert not np.any(np.isin(_run(other, Execution())[0]["base_vertical_stress_std"], base))
+    assert not np.any(np.isin(run(other)[0]["base_vertical_stress_std"], base))
 
 
 def test_what_calibration_changed_stands_beside_the_declared_run(setup, alone):
     declared = declared_parameters(setup.experiment)
-    replicates, _ = run_replicates(setup, declared, 10, fields=False)
-    expected = replicates_dataset(setup, replicates)
+    readings, _ = run_replicates(setup, declared, 10, fields=False)
+    expected = replicates_dataset(setup, readings)
     np.testing.assert_array_equal(
         alone[0]["vertical_stress_as_declared"], expected["vertical_stress"]
     )
@@ -88,8 +56,8 @@ def test_what_calibration_changed_stands_beside_the_declared_run(setup, alone):
 
 
 def test_kept_fields_are_what_the_fields_average(setup, alone):
-    replicates, fields = alone
-    kept = replicates["replicate_vertical_stress"].values
+    readings, fields = alone
+    kept = readings["replicate_vertical_stress"].values
     stress = np.where(kept > 0, kept, np.nan)
     some = np.isfinite(stress).any(axis=0)
     mean = np.nanmean(stress[:, some], axis=0)
@@ -97,8 +65,8 @@ def test_kept_fields_are_what_the_fields_average(setup, alone):
 
 
 def test_the_first_replicate_stands_beside_the_mean(setup, alone):
-    replicates, fields = alone
-    first = replicates["replicate_vertical_stress"].values[0]
+    readings, fields = alone
+    first = readings["replicate_vertical_stress"].values[0]
     material = first > 0
     np.testing.assert_allclose(
         fields["vertical_stress_first"].values[material], first[material], rtol=1e-6

@@ -12,8 +12,9 @@ from pipeline.config.measured import MeasuredRow
 from pipeline.effects import Active, Effect, Parameter
 from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import MOVEMENT, STAGNANT
-from pipeline.montecarlo.replicates import Execution, replicates_dataset, run_replicates
+from pipeline.montecarlo.replicates import replicates_dataset, run_replicates
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, random_stream
+from pipeline.montecarlo.workers import Execution
 from pipeline.observe import simulated_rows
 from pipeline.parameters import declared_parameters
 from pipeline.sensitivity.footprints import row_gradients

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from pipeline.lattice.block_model import build_block_model
-from pipeline.montecarlo.replicates import Execution, run_replicates
+from pipeline.montecarlo.replicates import run_replicates
+from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import make_setup
 

@@ -53,6 +53,8 @@ rule replicates:
         file=lambda w: CATALOG.file(w.experiment),
         settings=lambda w: CATALOG.settings(w.experiment),
         code=source_digest("replicates"),
+        effects=lambda w: CATALOG.effects(w.experiment),
+        checkpoints=lambda w: f"{RESULTS}/checkpoints/{w.experiment}",
     message:
         "{wildcards.experiment}: replicates"
     script:

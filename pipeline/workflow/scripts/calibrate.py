@@ -5,7 +5,7 @@ from pipeline.calibrate.carried import carried_statements
 from pipeline.config.load import check_measured, load_experiment
 from pipeline.files.atomic import read_json, write_json
 from pipeline.files.netcdf import read_dataset
-from pipeline.montecarlo.replicates import Execution
+from pipeline.montecarlo.workers import Execution, crew
 from pipeline.parameters import Parameters, declared_parameters
 from pipeline.simulate import make_setup
 from pipeline.workflow.job import log_to
@@ -20,7 +20,8 @@ declared = declared_parameters(
     {s["experiment"]: Parameters.from_document(s["parameters_used"]) for s in sources},
 )
 execution = Execution(snakemake.threads, snakemake.resources.dask_scheduler)
-document = calibrate(experiment, setup, declared, rows, execution)
+with crew(execution, experiment.name):  # one session of a cluster for all that is evaluated
+    document = calibrate(experiment, setup, declared, rows, execution)
 for source in sources:
     document["messages"] += carried_statements(experiment, source, declared)
 write_json(snakemake.output.calibration, document)

@@ -1,7 +1,7 @@
 """Rule effect_pictures: what each effect does, to `effects/pictures.nc`."""
 
 from pipeline.files.atomic import whole_file
-from pipeline.montecarlo.replicates import Execution
+from pipeline.montecarlo.workers import Execution
 from pipeline.sensitivity.pictures import effect_pictures
 from pipeline.workflow.job import log_to
 

@@ -3,7 +3,9 @@
 from pipeline.config.load import check_measured, load_experiment
 from pipeline.files.atomic import read_json
 from pipeline.files.netcdf import read_dataset, write_dataset
-from pipeline.montecarlo.replicates import Execution, run_experiment
+from pipeline.montecarlo.checkpoints import Checkpoints
+from pipeline.montecarlo.replicates import run_experiment
+from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import Parameters
 from pipeline.sensitivity.footprints import load_cell_footprint
 from pipeline.simulate import make_setup
@@ -18,7 +20,10 @@ used, declared = (
     Parameters.from_document(calibration[key]) for key in ("parameters_used", "declared")
 )
 execution = Execution(snakemake.threads, snakemake.resources.dask_scheduler)
-replicates, fields = run_experiment(setup, used, declared, execution)
+checkpoints = Checkpoints(
+    snakemake.params.checkpoints, snakemake.params.code + snakemake.params.effects
+)
+replicates, fields = run_experiment(setup, used, declared, execution, checkpoints)
 replicates["load_cell_footprint"] = load_cell_footprint(setup, used)
 for path, dataset, title in (
     (snakemake.output.fields, fields, "Fields over replicates"),
