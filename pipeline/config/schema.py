@@ -7,10 +7,15 @@ import sys
 from pathlib import Path
 
 from pipeline.config.experiment import Experiment
+from pipeline.config.imports import ImportSettings
 from pipeline.config.study import Study
 
 FOLDER = Path(__file__).parents[2] / "workflow_configs" / "schema"
-MODELS = {"experiment.schema.json": Experiment, "study.schema.json": Study}
+MODELS = {
+    "experiment.schema.json": Experiment,
+    "study.schema.json": Study,
+    "import.schema.json": ImportSettings,
+}
 
 
 def schema_text(name: str) -> str:
