@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pipeline.config.comparison import Comparison
 from pipeline.config.experiment import Experiment
+from pipeline.config.imports import ImportSettings
 from pipeline.config.study import Study
 
 FOLDER = Path(__file__).parents[2] / "workflow_configs" / "schema"
@@ -15,6 +16,7 @@ MODELS = {
     "experiment.schema.json": Experiment,
     "study.schema.json": Study,
     "comparison.schema.json": Comparison,
+    "import.schema.json": ImportSettings,
 }
 
 
