@@ -476,7 +476,6 @@ def place_cells(code, moved, cell_weight, cell_shed):
 @njit(nogil=True, cache=True)
 def _place_level(code, moved, k, cell_weight, cell_shed, weight, shed):
     """`place_cells` of level k, into `weight` and `shed` (y, x)."""
-    cell_weight, cell_shed = cell_weight.reshape(-1), cell_shed.reshape(-1)
     _, ny, nx = code.shape
     for y in range(ny):
         for x in range(nx):
@@ -484,11 +483,11 @@ def _place_level(code, moved, k, cell_weight, cell_shed, weight, shed):
             weight[y, x], shed[y, x] = 0.0, 0.0
             if place in (STAGNANT, MOVEMENT):
                 cell = moved.cell_id[k, y, x]
-                weight[y, x] = cell_weight[cell]
+                weight[y, x] = cell_weight.flat[cell]
                 if place == MOVEMENT:
                     shed[y, x] = moved.zone_shed[moved.zone[k, y, x]]
                 else:
-                    shed[y, x] = cell_shed[min(cell, len(cell_shed) - 1)]
+                    shed[y, x] = cell_shed.flat[min(cell, cell_shed.size - 1)]
 
 
 @njit(nogil=True, cache=True)
