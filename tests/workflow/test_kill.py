@@ -72,6 +72,9 @@ def test_a_run_killed_three_times_ends_with_the_numbers_of_an_uninterrupted_one(
         if path.suffix == ".json":
             assert json.loads(path.read_text()) == json.loads(other.read_text())
             continue
+        if path.suffix == ".csv":
+            assert path.read_text() == other.read_text()
+            continue
         with netCDF4.Dataset(path) as ours, netCDF4.Dataset(other) as theirs:
             assert list(ours.variables) == list(theirs.variables)
             for name in ours.variables:

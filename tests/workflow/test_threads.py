@@ -12,6 +12,7 @@ def catalog(repository):
     def make(scheduler=None):
         folder = repository / "workflow_configs" / "experiments"
         config = {"experiments_dir": folder, "studies_dir": folder.parent / "studies"}
+        config["comparisons_dir"] = folder.parent / "comparisons"
         return Catalog(config | {"results_dir": "results", "dask_scheduler": scheduler})
 
     return make
