@@ -57,7 +57,7 @@ def test_a_study_shows_every_key(mine):
 def uncommented(text: str, key: str) -> str:
     """The file with a left-out key, and all below it, put in; its alternative taken out."""
     lines, depth = [], None
-    for line in text.splitlines():
+    for line in _without_comments_that_go_on(text):
         found = LEFT_OUT.match(line)
         inside = depth is not None and found and len(found[1]) > depth
         if found and (inside or found[2] == key):
@@ -71,6 +71,10 @@ def uncommented(text: str, key: str) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _without_comments_that_go_on(text: str) -> list[str]:
+    return [line for line in text.splitlines() if not re.match(r" +# ", line)]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_key_that_is_left_out_can_be_put_in(kind, call, tmp_path):
     for name in ("fresh", "OTHER"):
@@ -78,7 +82,7 @@ def test_every_key_that_is_left_out_can_be_put_in(kind, call, tmp_path):
     path = tmp_path / "fresh.yaml"
     text = path.read_text("utf-8")
     keys, depth = [], None
-    for found in map(LEFT_OUT.match, text.splitlines()):
+    for found in map(LEFT_OUT.match, _without_comments_that_go_on(text)):
         if not found or depth is None or len(found[1]) <= depth:
             depth = found and len(found[1])
             keys += [found[2]] if found else []
