@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import logging
 import math
@@ -32,6 +33,8 @@ PACKAGE = Path(__file__).parents[1]
 PATIENCE = 60.0  # s without any worker of the cluster
 CONNECT = "10s"  # for the scheduler to answer
 LOSSES = 4  # times that a result may be lost with its worker
+# of glibc: what may stay free at the end of the heap, and the size from which arrays are mapped
+MALLOC_SETTINGS = {-1: 2**28, -3: 2**25}
 KEPT = "Finished replicates are kept: the next run goes on from them."
 
 log = logging.getLogger(__name__)
@@ -340,7 +343,23 @@ def _run_on_worker(versions, function, shared, job):
             f"a Dask worker runs other code ({theirs}) than this run ({ours}), which could give "
             "other numbers; start the workers in the same environment and revision"
         )
+    _keep_freed_memory()
     return function(shared, *job)
+
+
+@cache
+def _keep_freed_memory() -> None:
+    """Let this process use the memory of freed arrays again, instead of asking for new pages.
+
+    Dask starts its workers so that they give back whatever is larger than 64 kB
+    (MALLOC_TRIM_THRESHOLD_): a small replicate then takes more than twice as long.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):  # not glibc
+        return
+    for setting, size in MALLOC_SETTINGS.items():
+        mallopt(setting, size)
 
 
 @cache
