@@ -1,11 +1,8 @@
 """A comparison of two draw experiments, as ``workflow_configs/comparisons/*.yaml``."""
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 
-from pydantic import PrivateAttr
-
-from pipeline.config.experiment import BaseArea, Experiment, FileStem, Strict
+from pipeline.config.experiment import BaseArea, Experiment, FileStem, FromFile
 from pipeline.config.measured import reading_masses
 from pipeline.config.messages import Found, did_you_mean, quantity
 
@@ -19,7 +16,7 @@ def _two_that_differ(experiments) -> Iterator[Found]:
         yield ("experiments", 1), "named twice; name the other one to compare with"
 
 
-class Comparison(Strict):
+class Comparison(FromFile):
     """Two draw experiments with the same load cells and readings; its name is its file's stem."""
 
     title: str = ""
@@ -31,25 +28,7 @@ class Comparison(Strict):
     )
     """Stress of which the share of time above it is given, MPa."""
 
-    _path: Path = PrivateAttr(Path("unnamed.yaml"))
-
     checks = (_two_that_differ,)
-
-    def at(self, path: Path) -> "Comparison":
-        """The same comparison as the one that the file ``path`` holds."""
-        placed = self.model_copy()
-        placed._path = Path(path)
-        return placed
-
-    @property
-    def path(self) -> Path:
-        """The comparison's file."""
-        return self._path
-
-    @property
-    def name(self) -> str:
-        """Stem of the comparison's file."""
-        return self._path.stem
 
 
 def comparison_problems(

@@ -8,7 +8,7 @@ above it.
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import (
     BaseModel,
@@ -73,6 +73,28 @@ class Strict(BaseModel):
         if found := tuple(run_checks(self.checks, values)):
             raise InconsistentError(found)
         return self
+
+
+class FromFile(Strict):
+    """What a YAML file of its own holds; its name is the file's stem."""
+
+    _path: Path = PrivateAttr(Path("unnamed.yaml"))
+
+    def at(self, path: Path) -> Self:
+        """The same as what the file ``path`` holds."""
+        placed = self.model_copy()
+        placed._path = Path(path)
+        return placed
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self._path
+
+    @property
+    def name(self) -> str:
+        """Stem of the file."""
+        return self._path.stem
 
 
 # ---------------------------------------------------------------------------------------------
@@ -640,7 +662,7 @@ def _assumed_keys_exist(assumed) -> Iterator[Found]:
             yield ("assumed", place), "expected keys joined by single dots, such as stress.E"
 
 
-class Experiment(Strict):
+class Experiment(FromFile):
     """One experiment; its name is the stem of its file."""
 
     title: str = ""
@@ -688,8 +710,6 @@ class Experiment(Strict):
     keep_fields: bool = Field(False, strict=True)
     """Whether to write the fields of every replicate (true or false)."""
 
-    _path: Path = PrivateAttr(Path("unnamed.yaml"))
-
     checks = (
         _particles_fit,
         _levels_fit,
@@ -708,22 +728,6 @@ class Experiment(Strict):
         _stop_comes_before_the_end,
         _assumed_keys_exist,
     )
-
-    def at(self, path: Path) -> "Experiment":
-        """The same experiment as the one that the file ``path`` holds."""
-        placed = self.model_copy()
-        placed._path = Path(path)
-        return placed
-
-    @property
-    def path(self) -> Path:
-        """The experiment's file."""
-        return self._path
-
-    @property
-    def name(self) -> str:
-        """Stem of the experiment's file."""
-        return self._path.stem
 
     @property
     def is_draw(self) -> bool:

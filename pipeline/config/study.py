@@ -4,12 +4,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, PrivateAttr, Tag
+from pydantic import Discriminator, Field, Tag
 
 from pipeline.config.effects import unknown_effect
 from pipeline.config.experiment import (
     DataLabel,
     FileStem,
+    FromFile,
     MassDrawn,
     Parameter,
     Strict,
@@ -113,7 +114,7 @@ def _effects_exist(candidates, scopes) -> Iterator[Found]:
             yield ("scopes", name), text
 
 
-class Study(Strict):
+class Study(FromFile):
     """One study; its name is the stem of its file."""
 
     title: str = ""
@@ -137,25 +138,7 @@ class Study(Strict):
     max_effects: whole("a whole number from 0 to 100", ge=0, le=100) = 3
     """Most effects that may be added."""
 
-    _path: Path = PrivateAttr(Path("unnamed.yaml"))
-
     checks = (_experiments_differ, _something_is_left, _parameters_differ, _effects_exist)
-
-    def at(self, path: Path) -> "Study":
-        """The same study as the one that the file ``path`` holds."""
-        placed = self.model_copy()
-        placed._path = Path(path)
-        return placed
-
-    @property
-    def path(self) -> Path:
-        """The study's file."""
-        return self._path
-
-    @property
-    def name(self) -> str:
-        """Stem of the study's file."""
-        return self._path.stem
 
     @property
     def data_path(self) -> Path | None:
