@@ -205,7 +205,7 @@ def dask_session(scheduler: str, what: str) -> Iterator[_Cluster]:
     with dask.config.set(settings):
         try:
             client = Client(scheduler, set_as_default=False)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, AssertionError) as error:  # the last: its loop did not start
             raise WorkersLostError(
                 f"{what}: no Dask scheduler answers at {scheduler} ({_first_line(error)}). "
                 "Expected dask_scheduler=tcp://HOST:PORT of a running `dask scheduler`"
