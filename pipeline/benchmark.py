@@ -45,7 +45,8 @@ from pipeline.lattice.flow import (
     new_flow_state,
 )
 from pipeline.lattice.grid import GRAVITY
-from pipeline.lattice.stress import spreading_weights, stress_sweep
+from pipeline.lattice.spreading import spreading_weights
+from pipeline.lattice.stress import stress_sweep
 from pipeline.lattice.stress_reference import stress_sweep_reference
 from pipeline.montecarlo.parts import Collected
 from pipeline.montecarlo.replicates import Run, run_part

@@ -36,15 +36,23 @@ from pipeline.lattice.flow import (
     zone_geometry,
 )
 from pipeline.lattice.grid import GRAVITY, Lattice, levels_of
+from pipeline.lattice.spreading import (
+    count_below,
+    draw_ranks,
+    rank_normals,
+    redraw_ranks,
+    spreading_weights,
+)
 from pipeline.lattice.stress import (
     AT_HOME,
+    BY_CELL,
     UNCOUPLED,
     Coupling,
     Moved,
+    Ranked,
     place_cells,
     place_zones,
     read_base,
-    spreading_weights,
     stress_sweep,
 )
 from pipeline.parameters import Parameters
@@ -290,8 +298,8 @@ def _simulate_filling(setup, parameters, packing, observe, inspect):
             state = ground.at_rest(code, fraction)
             load = out.sweep(t, *_taken(state, ground.dtype), 1.0, state)
         else:
-            cells = _Cells(*(part[:levels] for part in ground.initial))
-            load = out.sweep(t, cells, code, parameters.R, UNCOUPLED, fraction)
+            cells, ranked = ground.upto(levels)
+            load = out.sweep(t, cells, code, parameters.R, UNCOUPLED, fraction, ranked=ranked)
         if observe is not None:
             observe(t, code, identity[:levels], load)
     return out.finish()
@@ -313,8 +321,9 @@ def _simulate_draw(setup, parameters, packing, flow, observe, inspect):
             state = ground.in_draw(now, zone_shed)
             load = out.sweep(t, *_taken(state, ground.dtype), 1.0, state)
         else:
-            moved = Moved(now.cell_id, now.zone, zone_shed)
-            load = out.sweep(t, ground.initial, now.code, parameters.R, UNCOUPLED, 1.0, moved=moved)
+            places = {"moved": Moved(now.cell_id, now.zone, zone_shed)}
+            cells, places["ranked"] = ground.upto(len(now.code))
+            load = out.sweep(t, cells, now.code, parameters.R, UNCOUPLED, 1.0, **places)
         readings.movement_zone_height[t] = now.heights.max()
         readings.movement_zone_width[t] = now.widths.max()
         readings.replicate_mass_drawn[t] = now.mass
@@ -434,7 +443,10 @@ def _openings(experiment: Experiment, lattice: Lattice, code: np.ndarray) -> Ite
 
 
 class _Cells(NamedTuple):
-    """What a sweep takes of each cell, (z, y, x); see `stress.stress_sweep`."""
+    """What a sweep takes of each cell, (z, y, x); see `stress.stress_sweep`.
+
+    `edge` and `corner` are (0, 0, 0) where ranks stand for them.
+    """
 
     weight: np.ndarray
     shed_fraction: np.ndarray
@@ -443,7 +455,10 @@ class _Cells(NamedTuple):
 
 
 class _Ground:
-    """One replicate's packing, as effects leave it, and its spreading weights (z, y, x)."""
+    """One replicate's packing, as effects leave it, and its spreading weights.
+
+    The ranks of s stand for them, unless an effect makes them differ between cells of one rank.
+    """
 
     def __init__(
         self, setup: Setup, parameters: Parameters, packing: np.random.Generator, out: _Recorder
@@ -452,68 +467,98 @@ class _Ground:
         self.dtype = setup.cell_weight.dtype
         self.cells = _packing(setup, parameters, packing)
         shape = setup.code.shape
-        edge, corner = np.empty(shape, self.dtype), np.empty(shape, self.dtype)
-        granular = negative = 0
-        for levels, places in _blocks(shape):
-            s = self._draw(edge[levels].shape, places)
-            edge[levels], corner[levels] = spreading_weights(s, self._rule, self.dtype)
-            here = setup.code[levels] == STAGNANT
-            granular += np.count_nonzero(here)
-            negative += np.count_nonzero(here & (s < 0))
-        out.readings.negative_s_share = negative / granular
+        self._s = parameters.s_mean + parameters.s_std * rank_normals()
+        weights = np.column_stack(spreading_weights(self._s, self._rule, self.dtype))
+        self._ranked = Ranked(draw_ranks(packing, shape), weights)
         shed = self.cells.shed_fraction
         shed = np.reshape(shed, shape if np.ndim(shed) else (1, 1, 1))
-        self.initial = _Cells(self.cells.weight.reshape(shape), shed, edge, corner)
+        none = np.zeros((0, 0, 0), self.dtype)
+        self._cells = _Cells(self.cells.weight.reshape(shape), shed, none, none)
+        self._by_cell = np.ndim(self.cells.s_shift) > 0 or self.cells.persistence > 0.0
+        if self._by_cell:
+            granular, negative = self._weigh_cells()
+        else:
+            limit = np.searchsorted(self._s, 0.0)
+            granular, negative = count_below(limit, self._ranked.rank.ravel(), setup.code.ravel())
+        out.readings.negative_s_share = negative / granular
         self._increments = np.concatenate([[0.0], setup.visits[1]])
         self._drawn = 0.0  # increments so far, and when the cell at each place came
         self._came = np.zeros(shape) if out.needs_state else None
+
+    def _weigh_cells(self):
+        """Spreading weights cell by cell; the number of cells, and of those with s < 0."""
+        edge, corner = np.empty((2, *self._setup.code.shape), self.dtype)
+        self._cells = self._cells._replace(edge=edge, corner=corner)
+        granular = negative = 0
+        for levels, places in _blocks(edge.shape):
+            s = self._of_cells(self._ranked.rank[levels], places)
+            edge[levels], corner[levels] = spreading_weights(s, self._rule, self.dtype)
+            here = self._setup.code[levels] == STAGNANT
+            granular += np.count_nonzero(here)
+            negative += np.count_nonzero(here & (s < 0))
+        return granular, negative
 
     @property
     def _rule(self) -> str:
         return self._setup.experiment.stress.rule
 
-    def _draw(self, shape, cells):
-        """s of new cells, whose identities are given as an index."""
-        parameters = self._parameters
-        s = self._rng.standard_normal(shape, dtype=np.float32)
-        s = parameters.s_mean + parameters.s_std * s
-        shift = self.cells.s_shift
-        return s if np.ndim(shift) == 0 else s + shift[cells].reshape(shape)
+    def _of_cells(self, ranks, cells):
+        """s of cells of these ranks, whose identities are given as an index."""
+        s, shift = self._s[ranks], self.cells.s_shift
+        return s if np.ndim(shift) == 0 else s + shift[cells].reshape(s.shape)
+
+    def upto(self, levels: int) -> tuple[_Cells, Ranked]:
+        """What a sweep takes of the lowest levels, cells at home."""
+        cells = _Cells(*(part[:levels] for part in self._cells))
+        if self._by_cell:
+            return cells, BY_CELL
+        return cells, self._ranked._replace(rank=self._ranked.rank[:levels])
+
+    def _spreading(self, levels):
+        """Edge and corner weights (z, y, x) of the lowest levels."""
+        if self._by_cell:
+            return self._cells.edge[:levels], self._cells.corner[:levels]
+        rank, weights = self._ranked
+        return weights[:, 0][rank[:levels]], weights[:, 1][rank[:levels]]
 
     def redraw(self, moved: np.ndarray, cell_id: np.ndarray, mass: float) -> None:
-        """New s where `moved` is set, in array order, after `mass` kg."""
+        """New s where `moved` is set, after `mass` kg."""
         self._drawn = np.interp(mass, self._increments, np.arange(len(self._increments)))
-        for _, block in _blocks(moved.shape):
-            places = np.flatnonzero(moved.ravel()[block])
-            if len(places):
-                self._renew(places + block.start, cell_id)
+        redraw_ranks(self._rng, self._ranked.rank, moved)
+        if self._by_cell or self._came is not None:
+            for _, block in _blocks(moved.shape):
+                places = np.flatnonzero(moved.ravel()[block])
+                if len(places):
+                    self._renew(places + block.start, cell_id)
 
     def _renew(self, places, cell_id):
-        edge, corner = self.initial.edge.ravel(), self.initial.corner.ravel()
-        s = self._draw(places.shape, np.maximum(cell_id.ravel()[places], 0))
-        weights = spreading_weights(s, self._rule, self.dtype)
-        if self.cells.persistence > 0.0:
-            old = edge[places], corner[places]
-            weights = _mixed(old, weights, self.cells.persistence)
-        edge[places], corner[places] = weights
+        if self._by_cell:
+            edge, corner = self._cells.edge.ravel(), self._cells.corner.ravel()
+            cells = np.maximum(cell_id.ravel()[places], 0)
+            s = self._of_cells(self._ranked.rank.ravel()[places], cells)
+            weights = spreading_weights(s, self._rule, self.dtype)
+            if self.cells.persistence > 0.0:
+                old = edge[places], corner[places]
+                weights = _mixed(old, weights, self.cells.persistence)
+            edge[places], corner[places] = weights
         if self._came is not None:
             self._came.flat[places] = self._drawn
 
     def at_rest(self, code: np.ndarray, top_fraction: float) -> State:
         """The lattice of a filling, through the state effects."""
         nowhere = np.full(code.shape, -1, dtype=np.int16)
-        weight, shed, edge, corner = (part[: len(code)] for part in self.initial)
-        weight = weight.copy()
+        weight = self._cells.weight[: len(code)].copy()
         weight[-1] *= top_fraction
-        shed = np.broadcast_to(shed, code.shape).copy()
-        cells = _Cells(weight, shed, edge, corner)
+        shed = np.broadcast_to(self._cells.shed_fraction[: len(code)], code.shape).copy()
+        cells = _Cells(weight, shed, *self._spreading(len(code)))
         return self._through_effects(code, nowhere, nowhere, np.zeros(0), shed, cells)
 
     def in_draw(self, now: Snapshot, zone_shed: np.ndarray) -> State:
         """The lattice during draw, through the state effects; `zone_shed` (label): 1 − E_min."""
         moved = Moved(now.cell_id, now.zone, zone_shed)
-        weight, shed, edge, corner = self.initial
-        cells = _Cells(*place_cells(now.code, moved, weight, shed), edge, corner)
+        weight, shed, _, _ = self._cells
+        spreading = self._spreading(len(now.code))
+        cells = _Cells(*place_cells(now.code, moved, weight, shed), *spreading)
         root, own = place_zones(moved, now.zone_root, shed)
         return self._through_effects(now.code, now.zone, root, now.heights, own, cells)
 
@@ -617,7 +662,18 @@ class _Recorder:
         readings.vertical_stress = sensed(self.setup, readings.vertical_stress)
         return readings
 
-    def sweep(self, t, cells, code, relaxation, coupling, top_fraction, state=None, moved=AT_HOME):
+    def sweep(
+        self,
+        t,
+        cells,
+        code,
+        relaxation,
+        coupling,
+        top_fraction,
+        state=None,
+        moved=AT_HOME,
+        ranked=BY_CELL,
+    ):
         """One sweep, read at time `t`; returns the carried load (z, y, x) in N where kept."""
         setup, readings = self.setup, self.readings
         fields = readings.replicate_vertical_stress
@@ -626,7 +682,7 @@ class _Recorder:
         load = np.zeros(shape, dtype=setup.cell_weight.dtype)
         base_load = np.zeros(code.shape[1:])
         weight, shed = stress_sweep(
-            *cells, code, relaxation, top_fraction, load, base_load, coupling, moved
+            *cells, code, relaxation, top_fraction, load, base_load, coupling, moved, ranked
         )
         error = abs(weight - base_load.sum() - shed) / weight
         if not error <= BALANCE_TOLERANCE:

@@ -7,14 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from pipeline.lattice.cells import AIR, MOVEMENT, OUTSIDE, STAGNANT, VOID
-from pipeline.lattice.stress import (
-    AT_HOME,
-    RULES,
-    UNCOUPLED,
-    Moved,
-    spreading_weights,
-    stress_sweep,
-)
+from pipeline.lattice.spreading import RULES, spreading_weights
+from pipeline.lattice.stress import AT_HOME, BY_CELL, UNCOUPLED, Moved, Ranked, stress_sweep
 
 SPREADS = {  # scenario: (mean, std) of s
     "even": (0.0, 0.0),
@@ -57,14 +51,19 @@ class Swept:
     shed: float
 
 
-def sweep(state: State, dtype: type = np.float64, moved: Moved = AT_HOME) -> Swept:
+def sweep(
+    state: State,
+    dtype: type = np.float64,
+    moved: Moved = AT_HOME,
+    ranked: Ranked = BY_CELL,
+) -> Swept:
     """Run the kernel on a state, the cells stored in `dtype`."""
     stored = state.with_arrays(
         lambda a: np.ascontiguousarray(a if a.dtype == np.int8 else a.astype(dtype))
     )
     load = np.zeros(state.code.shape, dtype)
     base_load = np.zeros(state.code.shape[1:])
-    total, shed = stress_sweep(*stored.arguments(), load, base_load, UNCOUPLED, moved)
+    total, shed = stress_sweep(*stored.arguments(), load, base_load, UNCOUPLED, moved, ranked)
     return Swept(load, base_load, total, shed)
 
 

@@ -16,49 +16,7 @@ from numba import njit
 
 from pipeline.lattice.cells import MOVEMENT, OUTSIDE, STAGNANT
 
-RULES = ("inverse_distance", "multinomial")
-S_LIMIT = 128.0  # beyond it the weights differ by 2^64 and more: their limit, in double precision
 LEAST_RECEPTIVITY = 1e-100  # R = 0 still lets a cell without stagnant receivers hand its load on
-
-
-def spreading_weights(
-    s: np.ndarray, rule: str = "inverse_distance", dtype: type = np.float32
-) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of the edge and corner receivers relative to the one straight down.
-
-    Parameters
-    ----------
-    s : array of any shape
-        Spreading exponent of each giving cell (eq 4), dimensionless; negative values spread
-        outwards. Values beyond ±128 are taken at that limit.
-    rule : {"inverse_distance", "multinomial"}
-        Eq 4 alone, β ∝ (1/d)^s, or eq 3 with gamma functions for the factorials,
-        β ∝ p^d / Γ(d + 1), p from eq 4 over all nine receivers.
-    dtype : floating type of the returned arrays
-
-    Returns
-    -------
-    edge, corner : arrays like `s`
-
-    Raises
-    ------
-    ValueError
-        If `rule` is not one of `RULES`.
-    """
-    s = np.clip(np.asarray(s), -S_LIMIT, S_LIMIT)
-    edge = np.exp2(-0.5 * s)
-    corner = np.exp2(-0.5 * math.log2(3.0) * s)
-    if rule == "multinomial":
-        d_edge, d_corner = math.sqrt(2.0), math.sqrt(3.0)
-        edge, corner = edge.astype(np.float64), corner.astype(np.float64)
-        total = 1.0 + 4.0 * edge + 4.0 * corner
-        edge = edge**d_edge * total ** (1.0 - d_edge) / math.gamma(d_edge + 1.0)
-        corner = corner**d_corner * total ** (1.0 - d_corner) / math.gamma(d_corner + 1.0)
-        least = np.finfo(np.float32).tiny  # never 0: a lone far receiver still takes the load
-        edge, corner = np.maximum(edge, least), np.maximum(corner, least)
-    elif rule != "inverse_distance":
-        raise ValueError(f"stress rule {rule!r}: expected one of {', '.join(RULES)}")
-    return edge.astype(dtype), corner.astype(dtype)
 
 
 def closed_form_stress(
@@ -129,6 +87,21 @@ class Moved(NamedTuple):
 AT_HOME = Moved()
 
 
+class Ranked(NamedTuple):
+    """Spreading weights by the rank of a cell's s (see `spreading`) instead of cell by cell.
+
+    - ``rank`` uint16: (z, y, x), or (0, 0, 0) where the weights are given by cell.
+    - ``weights``: (rank, 2) float, edge and corner weight of the s of each rank.
+    """
+
+    rank: np.ndarray = np.zeros((0, 0, 0), np.uint16)
+    weights: np.ndarray = np.zeros((0, 2), np.float32)
+
+
+BY_CELL = Ranked()
+PAIRS = {"float32": np.float64, "float64": np.complex128}  # of the same bytes as two such numbers
+
+
 def stress_sweep(
     weight: np.ndarray,
     shed_fraction: np.ndarray,
@@ -141,8 +114,12 @@ def stress_sweep(
     base_load: np.ndarray,
     coupling: Coupling = UNCOUPLED,
     moved: Moved = AT_HOME,
+    ranked: Ranked = BY_CELL,
 ) -> tuple[float, float]:
     """Carry all weights down the lattice.
+
+    All loads are in double precision, whatever the storage type of the cells. Levels of stagnant
+    ground above another such are computed several cells at a time.
 
     Parameters
     ----------
@@ -151,7 +128,8 @@ def stress_sweep(
     shed_fraction : (z, y, x) float, or (1, 1, 1) where all cells are alike
         1 − E of each cell: the share of its load that friction takes (eq 1).
     edge, corner : (z, y, x) float
-        Spreading weights of the giving cell, from `spreading_weights`.
+        Spreading weights of the giving cell, from `spreading_weights`; not looked at with
+        `ranked`, which then stands for them.
     code : (z, y, x) int8
         Cell codes of `pipeline.lattice.cells`.
     relaxation : float
@@ -166,6 +144,7 @@ def stress_sweep(
     coupling : what effects add to the sweep
     moved : where the cells are
         If they have moved, `weight` and `shed_fraction` are by the place where a cell began.
+    ranked : spreading weights by rank, in the floating type of `weight`
 
     Returns
     -------
@@ -184,7 +163,14 @@ def stress_sweep(
         base_load,
         coupling,
         moved,
+        _paired(ranked, weight.dtype),
     )
+
+
+def _paired(ranked: Ranked, dtype: np.dtype) -> Ranked:
+    """With both weights of a rank as one number, which takes one look: (rank)."""
+    weights = np.ascontiguousarray(ranked.weights, dtype)
+    return ranked._replace(weights=weights.view(PAIRS[dtype.name])[:, 0])
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -200,8 +186,9 @@ def _sweep(
     base_load,
     coupling,
     moved,
+    ranked,
 ):
-    nz, ny, nx = weight.shape
+    nz, ny, nx = code.shape
     keep = load.shape[0] > 0
     lower, upper = math.exp(-coupling.lean_y), math.exp(coupling.lean_y)
     left, right = math.exp(-coupling.lean_x), math.exp(coupling.lean_x)
@@ -209,30 +196,62 @@ def _sweep(
     shares_excess = coupling.transfer > 0.0
     excess = np.zeros(coupling.zone_root.max() + 1 if shares_excess else 0)
     straight_share = coupling.straight.shape[0] > 0
+    plain = not leaning and not straight_share and coupling.slope == 0.0
+    by_rank = ranked.rank.shape[0] > 0
+    flat = ranked.weights.view(weight.dtype)
     have_moved = moved.cell_id.shape[0] > 0
-    placed_weight = np.empty((ny if have_moved else 0, nx), weight.dtype)
-    placed_shed = np.full((ny, nx), shed_fraction[0, 0, 0])
+    dtype = weight.dtype
+    level_weight = np.empty((ny if have_moved else 0, nx), dtype)
+    level_shed = np.full((ny, nx), shed_fraction[0, 0, 0])
     carried = np.zeros((ny, nx))
     straight = np.zeros((ny, nx))  # handed straight down because no receiver is granular
-    down = np.zeros((ny + 2, nx + 2))  # transmitted load per unit of spreading weight, and that
+    down = np.zeros((ny + 2, nx + 2))  # transmitted load per unit of spreading weight, that
     sides = np.zeros((ny + 2, nx + 2))  # times the edge weight,
-    corners = np.zeros((ny + 2, nx + 2))  # times the corner weight
+    corners = np.zeros((ny + 2, nx + 2))  # and times the corner weight
     receptivity = np.zeros((ny + 2, nx + 2))
+    known = nz  # the level that it is of
+    rows = _Rows(
+        np.zeros((2, nx)),
+        np.zeros(nx),
+        np.zeros(nx),
+        np.zeros(nx, dtype),
+        np.zeros(nx, dtype),
+        np.zeros(nx, ranked.weights.dtype),
+    )
     total_weight = 0.0
     shed = 0.0
     base_load[:, :] = 0.0
-    _receptivity(code, nz - 1, relaxation, coupling.relaxation, receptivity)
+    solid, solid_below, falling = False, _is_solid(code, nz - 1), False
     for k in range(nz - 1, -1, -1):
         scale = top_fraction if k == nz - 1 else 1.0
-        level_weight, level_shed = weight[k], placed_shed
         if have_moved:
-            level_weight = placed_weight
             _place_level(code, moved, k, weight, shed_fraction, level_weight, level_shed)
-        elif shed_fraction.size > 1:
-            level_shed = shed_fraction[k]
+        else:
+            level_weight = weight[k]
+            if shed_fraction.size > 1:
+                level_shed = shed_fraction[k]
+        solid, solid_below = solid_below, k > 0 and _is_solid(code, k - 1)
+        if plain and solid and solid_below and not falling:
+            _through_solid(
+                k,
+                scale,
+                level_weight,
+                level_shed,
+                edge,
+                corner,
+                ranked,
+                load,
+                down,
+                sides,
+                corners,
+                rows,
+            )
+            continue
+        if known != k:
+            _receptivity(code, k, relaxation, coupling.relaxation, receptivity)
         for y in range(ny):
             for x in range(nx):
-                own = scale * level_weight[y, x]
+                own = scale * np.float64(level_weight[y, x])
                 total_weight += own
                 if leaning:
                     from_edges = (
@@ -274,6 +293,8 @@ def _sweep(
         if k == 0:
             break
         _receptivity(code, k - 1, relaxation, coupling.relaxation, receptivity)
+        known = k - 1
+        falling = False
         for y in range(ny):
             for x in range(nx):
                 cell = code[k, y, x]
@@ -318,8 +339,13 @@ def _sweep(
                             + receptivity[y + 2, x + 2]
                         )
                     w_down = np.float64(coupling.straight[k, y, x]) if straight_share else 1.0
-                    w_edge = np.float64(edge[k, y, x])
-                    w_corner = np.float64(corner[k, y, x])
+                    if by_rank:
+                        rank = ranked.rank[k, y, x]
+                        w_edge = np.float64(flat[2 * rank])
+                        w_corner = np.float64(flat[2 * rank + 1])
+                    else:
+                        w_edge = np.float64(edge[k, y, x])
+                        w_corner = np.float64(corner[k, y, x])
                     total = w_down * receptivity[y + 1, x + 1] + w_edge * beside
                     total += w_corner * diagonal
                     if total > 0.0:
@@ -338,8 +364,115 @@ def _sweep(
                 if straight[y, x] > 0.0 and code[k - 1, y, x] == OUTSIDE:
                     base_load[y, x] += straight[y, x]
                     straight[y, x] = 0.0
+                falling |= straight[y, x] != 0.0
     base_load += carried
-    return total_weight, shed
+    return total_weight + rows.put_in.sum(), shed + rows.lost.sum()
+
+
+class _Rows(NamedTuple):
+    """Rows of cells in solid ground, float64 but for the weights."""
+
+    carried: np.ndarray  # two rows
+    put_in: np.ndarray  # of all levels, as is
+    lost: np.ndarray
+    edge: np.ndarray
+    corner: np.ndarray
+    pairs: np.ndarray  # both weights as one number of twice the size
+
+
+@njit(nogil=True, cache=True)
+def _is_solid(code, k):
+    """Whether level k is stagnant ground from side to side."""
+    _, ny, nx = code.shape
+    for y in range(ny):
+        other = np.int8(0)
+        for x in range(nx):
+            other |= code[k, y, x] ^ STAGNANT
+        if other != 0:
+            return False
+    return True
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _through_solid(
+    k,
+    scale,
+    weight,
+    shed_fraction,
+    edge,
+    corner,
+    ranked,
+    load,
+    down,
+    sides,
+    corners,
+    rows,
+):
+    """Carry the loads through a level of stagnant ground onto another.
+
+    What the general sweep does, in short loops over rows that the compiler turns into vector
+    instructions: each writes one or two arrays. A row gives as soon as the next one has taken, so
+    that the level above can be overwritten. The result is the same bit for bit, but for the order
+    in which what is lost is summed up.
+    """
+    ny, nx = weight.shape
+    keep = load.shape[0] > 0
+    carried, put_in, lost = rows.carried, rows.put_in, rows.lost
+    of_edge, of_corner = rows.edge, rows.corner
+    pairs = rows.pairs
+    flat = pairs.view(weight.dtype)
+    for step in range(ny + 1):
+        if step < ny:
+            y = step
+            to = y % 2
+            for x in range(nx):
+                put_in[x] += scale * np.float64(weight[y, x])
+                from_edges = (
+                    sides[y, x + 1] + sides[y + 1, x] + sides[y + 1, x + 2] + sides[y + 2, x + 1]
+                )
+                carried[to, x] = down[y + 1, x + 1] + from_edges
+            for x in range(nx):
+                from_corners = (
+                    corners[y, x] + corners[y, x + 2] + corners[y + 2, x] + corners[y + 2, x + 2]
+                )
+                own = scale * np.float64(weight[y, x])
+                carried[to, x] = own + (carried[to, x] + from_corners)
+        if step == 0:
+            continue
+        y = step - 1
+        of = y % 2
+        if keep:
+            for x in range(nx):
+                load[k, y, x] = carried[of, x]
+        if ranked.rank.shape[0] > 0:
+            for x in range(nx):
+                pairs[x] = ranked.weights[ranked.rank[k, y, x]]
+            for x in range(nx):
+                of_edge[x] = flat[2 * x]
+                of_corner[x] = flat[2 * x + 1]
+        else:
+            for x in range(nx):
+                of_edge[x] = edge[k, y, x]
+            for x in range(nx):
+                of_corner[x] = corner[k, y, x]
+        for x in range(nx):
+            part = carried[of, x] * np.float64(shed_fraction[y, x])
+            lost[x] += part
+            carried[of, x] -= part
+        beside_y = (y > 0) + (y < ny - 1)
+        beside, diagonal = np.float64(beside_y + 2), np.float64(2 * beside_y)
+        for x in range(nx):
+            total = 1.0 + np.float64(of_edge[x]) * beside + np.float64(of_corner[x]) * diagonal
+            down[y + 1, x + 1] = carried[of, x] / total
+        for x in (0, nx - 1):  # with fewer receivers
+            beside_x = (x > 0) + (x < nx - 1)
+            beside, diagonal = np.float64(beside_y + beside_x), np.float64(beside_y * beside_x)
+            total = 1.0 + np.float64(of_edge[x]) * beside + np.float64(of_corner[x]) * diagonal
+            down[y + 1, x + 1] = carried[of, x] / total
+        for x in range(nx):
+            sides[y + 1, x + 1] = down[y + 1, x + 1] * np.float64(of_edge[x])
+        for x in range(nx):
+            corners[y + 1, x + 1] = down[y + 1, x + 1] * np.float64(of_corner[x])
 
 
 @njit(nogil=True, cache=True)

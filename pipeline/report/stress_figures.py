@@ -6,7 +6,8 @@ import numpy as np
 
 from pipeline.files.netcdf import AS_DECLARED
 from pipeline.lattice.grid import GRAVITY
-from pipeline.lattice.stress import closed_form_stress, spreading_weights
+from pipeline.lattice.spreading import spreading_weights
+from pipeline.lattice.stress import closed_form_stress
 from pipeline.report.figures import (
     BLUE,
     GREEN,
