@@ -45,8 +45,8 @@ from pipeline.lattice.flow import (
     new_flow_state,
 )
 from pipeline.lattice.grid import GRAVITY
-from pipeline.lattice.spreading import spreading_weights
-from pipeline.lattice.stress import stress_sweep
+from pipeline.lattice.spreading import draw_ranks, rank_normals, spreading_weights
+from pipeline.lattice.stress import AT_HOME, BY_CELL, UNCOUPLED, Ranked, stress_sweep
 from pipeline.lattice.stress_reference import stress_sweep_reference
 from pipeline.montecarlo.parts import Collected
 from pipeline.montecarlo.replicates import Run, run_part
@@ -292,22 +292,19 @@ def static_figures(side: int, repeats: int) -> Iterator[Figure]:
     parameters = declared_parameters(setup.experiment)
     rng = np.random.default_rng(1)
 
-    def normals(_):
-        rng.standard_normal(shape, dtype=np.float32)
+    def ranks(_):
+        draw_ranks(rng, shape)
         return cells
 
-    s = parameters.s_mean + parameters.s_std * rng.standard_normal(shape, dtype=np.float32)
-
-    def weights(_):
-        spreading_weights(s)
-        return cells
-
-    sweep = _sweep(setup.cell_weight.reshape(shape), *spreading_weights(s))
+    rank = draw_ranks(rng, shape)
+    s = parameters.s_mean + parameters.s_std * rank_normals()
+    edge, corner = spreading_weights(s)
+    weight = setup.cell_weight.reshape(shape)
     actions = {
         "STREAM triad": _triad(cells),
-        "normals": Action(normals),
-        "spreading weights": Action(weights),
-        "sweep": sweep,
+        "ranks of s": Action(ranks),
+        "sweep, weights by rank": _sweep(weight, Ranked(rank, np.column_stack([edge, corner]))),
+        "sweep, weights by cell": _sweep(weight, (edge[rank], corner[rank])),
         "static replicate": _replicate(setup),
     }
     goals = {"static replicate": (Target("value", 500e6), Target("ratio", 1 / 6))}
@@ -321,13 +318,20 @@ def static_figures(side: int, repeats: int) -> Iterator[Figure]:
     )
 
 
-def _sweep(weight: np.ndarray, edge: np.ndarray, corner: np.ndarray) -> Action:
-    shed = np.full_like(weight, 0.01)
+def _sweep(weight: np.ndarray, spreading: Ranked | tuple[np.ndarray, np.ndarray]) -> Action:
+    shed = np.full((1, 1, 1), 0.01, weight.dtype)
     code = np.full(weight.shape, STAGNANT)
     nothing, base = np.zeros((0, 0, 0), weight.dtype), np.zeros(weight.shape[1:])
+    by_cell, ranked = (nothing, nothing), BY_CELL
+    if isinstance(spreading, Ranked):
+        ranked = spreading
+    else:
+        by_cell = spreading
 
     def run(_):
-        stress_sweep(weight, shed, edge, corner, code, 1.0, 1.0, nothing, base)
+        stress_sweep(
+            weight, shed, *by_cell, code, 1.0, 1.0, nothing, base, UNCOUPLED, AT_HOME, ranked
+        )
         return weight.size
 
     return Action(run)
@@ -348,7 +352,7 @@ def reference_figures(side: int, repeats: int) -> Iterator[Figure]:
 
     actions = {
         "the sweep's plain-Python reference": Action(stress_by_reference),
-        "sweep, small lattice": _sweep(weight, edge, corner),
+        "sweep, small lattice": _sweep(weight, (edge, corner)),
     }
     about = {"shapes": (shape,), "unit": "cells/s", "dtype": "float32"}
     yield from _figures(measure(actions, repeats), next(iter(actions)), **about)
@@ -394,7 +398,7 @@ def published_figures(side: int, repeats: int) -> Iterator[Figure]:
         ("published 2-D sweep, our restatement", published_sweep),
         ("the same by levels in NumPy", published_sweep_by_levels),
     ):
-        actions = {name: restated(sweep), "sweep, 2-D": _sweep(weight[:, None], edge, corner)}
+        actions = {name: restated(sweep), "sweep, 2-D": _sweep(weight[:, None], (edge, corner))}
         about = {"shapes": ((side, 1, side),), "unit": "cells/s", "dtype": "float64"}
         yield from _figures(measure(actions, repeats), name, **about)
 

@@ -61,8 +61,9 @@ def test_every_yardstick_and_every_part_is_there(printed):
         assert any(word in name for name in yardsticks), word
     names = " / ".join(figure["name"] for figure in figures)
     for word in (
-        "normals",
-        "spreading weights",
+        "ranks of s",
+        "sweep, weights by rank",
+        "sweep, weights by cell",
         "sweep",
         "static replicate",
         "moving",
