@@ -34,7 +34,7 @@ STAGES = (
     "block model",
     "setup",
     "flow",
-    "s and spreading weights",
+    "s",
     "sweep",
     "reading",
     "output",
@@ -99,7 +99,7 @@ def time_stages(experiment: Experiment, parameters: Parameters) -> dict[str, Any
         sums.observe_first(*state)
         watch.enter("sweep")
 
-    watch.enter("s and spreading weights")
+    watch.enter("s")
     timed = _TimedFlow(flow.snapshots, flow.totals, watch)
     readings = simulate(setup, parameters, stream(PACKING), timed, observe)
     watch.enter("output")
