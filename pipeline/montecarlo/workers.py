@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import hashlib
 import logging
 import math
@@ -203,13 +204,19 @@ def dask_session(scheduler: str, what: str) -> Iterator[_Cluster]:
         "distributed.comm.timeouts.connect": CONNECT,
     }
     with dask.config.set(settings):
+        client, silence = None, ""
         try:
             client = Client(scheduler, set_as_default=False)
         except (OSError, ValueError, AssertionError) as error:  # the last: its loop did not start
+            silence = _first_line(error)
+        if client is None:
+            # a client that failed closes itself when it is collected; were that while the next one
+            # starts, each would wait for the other
+            gc.collect()
             raise WorkersLostError(
-                f"{what}: no Dask scheduler answers at {scheduler} ({_first_line(error)}). "
+                f"{what}: no Dask scheduler answers at {scheduler} ({silence}). "
                 "Expected dask_scheduler=tcp://HOST:PORT of a running `dask scheduler`"
-            ) from None
+            )
         with closing(client):
             _sessions[scheduler] = _Cluster(client, scheduler, what)
             try:
