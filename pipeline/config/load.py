@@ -213,16 +213,22 @@ KINDS = {
 def kind_of(path: Path) -> type[BaseModel]:
     """What a YAML file means to be: judged by its keys, or else by the name of its folder.
 
-    Where neither tells, the first of ``KINDS`` with most of the keys.
+    Where neither tells, it is the kind that lacks the fewest keys.
     """
     raw = _read_mapping(Path(path))
-    shared = {
-        model: len(raw.keys() & {f.alias or name for name, f in model.model_fields.items()})
-        for model in KINDS.values()
-    }
-    nearest = [model for model, count in shared.items() if count == max(shared.values())]
+
+    def shared(model: type[BaseModel]) -> int:
+        return len(raw.keys() & {f.alias or name for name, f in model.model_fields.items()})
+
+    def lacking(model: type[BaseModel]) -> int:
+        return sum(f.is_required() and name not in raw for name, f in model.model_fields.items())
+
+    most = max(map(shared, KINDS.values()))
+    nearest = [model for model in KINDS.values() if shared(model) == most]
     by_folder = KINDS.get(Path(path).absolute().parent.name)
-    return by_folder if by_folder in nearest else nearest[0]
+    if not most:
+        return by_folder or Experiment
+    return by_folder if by_folder in nearest else min(nearest, key=lacking)
 
 
 def load_studies(
