@@ -69,6 +69,9 @@ PARSED = (  # by the command's own parser only: they need results, or idle minut
     "python -m pipeline export NAME --to vtk --to csv --to block_model",
     "python -m pipeline export castro_2020_panel --to vtk",
     "python -m pipeline figures results/experiments/NAME/report.html",
+    "python -m pipeline figures results/studies/seditest_walls/report.html --only held_out",
+    "python -m pipeline figures results/experiments/castro_2020_panel/report.html "
+    "--only stress_sections",
     "python -m pipeline.stages DIR/mine_panel.yaml",
     "python -m pipeline.benchmark",
     "python -m pipeline.benchmark --quick",
