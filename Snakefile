@@ -7,6 +7,9 @@ min_version("9.19")
 configfile: "workflow_configs/default.yaml"
 
 
+report: "pipeline/workflow/report/workflow.rst"
+
+
 include: "pipeline/workflow/rules/common.smk"
 include: "pipeline/workflow/rules/experiments.smk"
 include: "pipeline/workflow/rules/export.smk"

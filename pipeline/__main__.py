@@ -8,6 +8,21 @@ from pipeline.commands import commands
 from pipeline.config.messages import ConfigError
 
 
+def command_line() -> argparse.ArgumentParser:
+    """The parser of all commands; each sets ``run`` to what does its work."""
+    parser = argparse.ArgumentParser(
+        prog="python -m pipeline",
+        description="What a user does beside running the workflow; docs/tutorial.md shows it.",
+    )
+    choices = parser.add_subparsers(metavar="COMMAND", required=True)
+    for name, module in commands().items():
+        summary, _, details = module.__doc__.partition("\n")
+        command = choices.add_parser(name, help=summary, description=summary, epilog=details)
+        module.add_arguments(command)
+        command.set_defaults(run=module.run)
+    return parser
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command.
 
@@ -21,17 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         Exit status: 0, or 1 after what is wrong with the user's files has been printed.
     """
-    parser = argparse.ArgumentParser(
-        prog="python -m pipeline",
-        description="What a user does beside running the workflow; docs/tutorial.md shows it.",
-    )
-    choices = parser.add_subparsers(metavar="COMMAND", required=True)
-    for name, module in commands().items():
-        summary, _, details = module.__doc__.partition("\n")
-        command = choices.add_parser(name, help=summary, description=summary, epilog=details)
-        module.add_arguments(command)
-        command.set_defaults(run=module.run)
-    chosen = parser.parse_args(arguments)
+    chosen = command_line().parse_args(arguments)
     try:
         return chosen.run(chosen)
     except ConfigError as error:

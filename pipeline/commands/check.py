@@ -1,8 +1,9 @@
-"""check experiments, studies and measured tables without running anything
+"""check experiments, studies, comparisons, import settings and tables; nothing runs
 
 Prints a line for each sound file. Of the others it says, all at once, where, what and what would
-be right; the exit status is then 1. A folder stands for the YAML files in its folders experiments
-and studies, or else for its own, and for the tables that experiments name.
+be right; the exit status is then 1. A folder stands for the YAML files in its folders experiments,
+studies and comparisons, or else for its own, and for the tables that experiments name. A block
+model, drawpoints or a schedule are checked by `import`, before it writes anything.
 """
 
 from __future__ import annotations
@@ -14,15 +15,20 @@ from functools import cache
 from pathlib import Path
 
 from pipeline.commands._places import experiments_of_study, experiments_of_table
+from pipeline.config.comparison import Comparison
 from pipeline.config.experiment import Experiment
+from pipeline.config.imports import ImportSettings
 from pipeline.config.load import (
     check_measured,
     check_table,
     is_held_out,
     kind_of,
+    load_comparison,
     load_experiments,
+    load_import_settings,
     load_study,
     load_with_sources,
+    problems_of_comparison,
     study_problems,
     study_rows,
 )
@@ -30,6 +36,7 @@ from pipeline.config.messages import ConfigError, did_you_mean, shown_path
 from pipeline.config.study import Study
 
 YAML, TABLE = (".yaml", ".yml"), (".csv", ".nc")
+FOLDERS = ("experiments", "studies", "comparisons")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,15 +46,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="FILE",
-        help="experiments and studies (.yaml), measured tables (.csv, .nc), or folders of them",
+        help="experiments, studies, comparisons and import settings (.yaml), measured tables "
+        "(.csv, .nc), or folders of them",
     )
     parser.add_argument(
         "--experiments",
         type=Path,
         metavar="DIR",
-        help="folder of the experiments that studies and tables name (default: for a study the "
-        "folder experiments beside its own, or else the repository's; for a table the folder above "
-        "measured, or else its own)",
+        help="folder of the experiments that studies, comparisons and tables name (default: for a "
+        "study or a comparison the folder experiments beside its own, or else the repository's; "
+        "for a table the folder above measured, or else its own)",
     )
 
 
@@ -82,10 +90,11 @@ def _files(path: Path) -> Iterator[Path]:
     if not path.is_dir():
         yield path
         return
-    folders = [one for one in (path / "experiments", path / "studies") if one.is_dir()] or [path]
+    folders = [path / name for name in FOLDERS if (path / name).is_dir()] or [path]
     files = [file for one in folders for file in sorted(one.iterdir()) if _is(file, YAML)]
     if not files:
-        raise ConfigError([(path, "holds no experiments and no studies (*.yaml or *.yml)")])
+        text = "holds no experiments, studies or comparisons (*.yaml or *.yml)"
+        raise ConfigError([(path, text)])
     yield from files
 
 
@@ -105,11 +114,18 @@ def _checked(
     if _is(path, TABLE):
         return _table(path, experiments or experiments_of_table(path)), None
     if not _is(path, YAML):
-        text = "expected an experiment or a study (.yaml), or a measured table (.csv or .nc)"
+        text = (
+            "expected an experiment, a study, a comparison or import settings (.yaml), or a "
+            "measured table (.csv or .nc)"
+        )
         raise ConfigError([(path, text)])
-    if kind_of(path) is Study:
-        study = load_study(path)
-        return _study(study, experiments_in(experiments or experiments_of_study(path))), None
+    kind = kind_of(path)
+    if kind is ImportSettings:
+        return _import_settings(load_import_settings(path)), None
+    if kind in (Study, Comparison):
+        loaded = load_study(path) if kind is Study else load_comparison(path)
+        known = experiments_in(experiments or experiments_of_study(path))
+        return (_study if kind is Study else _comparison)(loaded, known), None
     experiment = load_with_sources(path)
     return _experiment(experiment), experiment.measured_path
 
@@ -135,6 +151,21 @@ def _study(study: Study, experiments: Mapping[str, Experiment]) -> str:
     else:
         held_out = sum(is_held_out(study, name, row) for name, own in rows.items() for row in own)
     return f"study of {_count(len(rows), 'experiment')}, {values}, {held_out} held out"
+
+
+def _comparison(comparison: Comparison, experiments: Mapping[str, Experiment]) -> str:
+    if found := problems_of_comparison(comparison, experiments):
+        raise ConfigError(found)
+    cells = len(experiments[comparison.experiments[0]].load_cells)
+    return (
+        f"comparison of {' and '.join(comparison.experiments)}, {_count(cells, 'load cell')}, "
+        f"threshold {comparison.threshold_mpa:g} MPa"
+    )
+
+
+def _import_settings(settings: ImportSettings) -> str:
+    given = [key for key in ImportSettings.model_fields if key in settings.model_fields_set]
+    return f"import settings: {', '.join(given) or 'nothing given'}"
 
 
 def _table(path: Path, folder: Path) -> str:

@@ -1,4 +1,4 @@
-"""Write an experiment's results as files that other tools open: VTK, CSV, block model."""
+"""write an experiment's results as files that other tools open: VTK, CSV, block model"""
 
 import argparse
 from pathlib import Path
@@ -7,7 +7,7 @@ FORMATS = ("vtk", "csv", "block_model", "vulcan")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What to export, to what, and where to."""
+    """Declare the command's arguments."""
     parser.add_argument(
         "experiment", metavar="NAME|FOLDER", help="experiment, or its folder of results"
     )
@@ -20,18 +20,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "drawpoint and period; block_model, vulcan: blocks with their stress; may be repeated",
     )
     parser.add_argument(
-        "--results", default="results", metavar="DIR", help="folder of results (results)"
+        "--results", default="results", metavar="DIR", help="folder of results (default: results)"
     )
     parser.add_argument(
         "--into",
         type=Path,
         metavar="DIR",
-        help="folder to write into (export/ beside the results)",
+        help="folder to write to (default: export beside the experiment's results)",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Export, and print where each file went."""
+    """Write the files; say where each is."""
     from pipeline.files.export import FORMATS, export
 
     folder = Path(arguments.experiment)

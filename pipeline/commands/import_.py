@@ -1,4 +1,7 @@
-"""Make an experiment of a mine's files, or a measured table of its stress readings."""
+"""make an experiment of a mine's files, or a measured table of its stress readings
+
+docs/mine_files.md has the formats, their sources, and what is refused.
+"""
 
 import argparse
 from datetime import datetime
@@ -8,19 +11,19 @@ OWN = Path("workflow_configs/experiments")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """One subcommand for each kind of files."""
+    """Declare the command's arguments, kind of files by kind."""
     kinds = parser.add_subparsers(metavar="KIND", required=True)
-    blocks = kinds.add_parser("blocks", help="a CSV block model (plain, Vulcan's, Leapfrog's)")
+    blocks = _add_kind(kinds, "blocks", "a CSV block model (plain, Vulcan's, Leapfrog's)")
     blocks.add_argument("blocks", type=Path, metavar="FILE", help="the block model")
     _add_experiment(blocks)
     blocks.set_defaults(kind=_blocks)
-    massflow = kinds.add_parser("massflow", help="MassFlow's mine blocks, drawpoints and schedule")
+    massflow = _add_kind(kinds, "massflow", "MassFlow's mine blocks, drawpoints and schedule")
     massflow.add_argument("--blocks", type=Path, required=True, metavar="FILE", help="mine blocks")
     massflow.add_argument("--drawpoints", type=Path, metavar="FILE", help="drawpoints")
     massflow.add_argument("--schedule", type=Path, metavar="FILE", help="draw schedule, t")
     _add_experiment(massflow)
     massflow.set_defaults(kind=_massflow)
-    measured = kinds.add_parser("measured", help="stress measured in a mine, by date")
+    measured = _add_kind(kinds, "measured", "stress measured in a mine, by date")
     measured.add_argument("measured", type=Path, metavar="FILE", help="the readings")
     measured.add_argument(
         "--experiment", type=Path, required=True, metavar="YAML", help="the experiment's file"
@@ -31,10 +34,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--drawn", type=Path, metavar="FILE", help="instead: a CSV of date, mass_drawn_t"
     )
     measured.add_argument(
-        "--out", type=Path, metavar="CSV", help="table to write (measured/NAME.csv)"
+        "--out",
+        type=Path,
+        metavar="CSV",
+        help="table to write (default: measured/NAME.csv beside the experiment)",
     )
     measured.add_argument("--overwrite", action="store_true", help="replace the table if there")
     measured.set_defaults(kind=_measured)
+
+
+def _add_kind(kinds, name: str, words: str) -> argparse.ArgumentParser:
+    return kinds.add_parser(name, help=words, description=words)
 
 
 def _add_experiment(parser: argparse.ArgumentParser) -> None:
@@ -43,11 +53,11 @@ def _add_experiment(parser: argparse.ArgumentParser) -> None:
         "--settings", type=Path, metavar="YAML", help="columns, units, and what the files leave out"
     )
     parser.add_argument(
-        "--gaps", choices=("refuse", "outside"), help="what a missing block is (refuse)"
+        "--gaps", choices=("refuse", "outside"), help="what a missing block is (default: refuse)"
     )
     parser.add_argument("--base", type=float, metavar="M", help="elevation of the base, m")
     parser.add_argument(
-        "--into", type=Path, default=OWN, metavar="DIR", help=f"folder to write into ({OWN})"
+        "--into", type=Path, default=OWN, metavar="DIR", help=f"folder to write to (default: {OWN})"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace files that are there")
 

@@ -50,18 +50,18 @@ def commented(text: str, model: type[BaseModel]) -> str:
 
 def meaning(model: type[BaseModel], keys: Sequence[str]) -> str:
     """What the key at the end of ``keys`` means: its description, range, choices and default."""
-    schema = _schema(model)
+    schema = schema_of(model)
     nodes = [schema]
     for key in keys:
-        inner = [part for node in nodes for part in _parts(node, schema["$defs"])]
+        inner = [part for node in nodes for part in _parts(node, schema.get("$defs", {}))]
         nodes = [part["properties"][key] for part in inner if key in part.get("properties", {})]
         if not nodes:
             raise KeyError(".".join(keys))
-    said = [*nodes, *(part for node in nodes for part in _parts(node, schema["$defs"]))]
+    said = [*nodes, *(part for node in nodes for part in _parts(node, schema.get("$defs", {})))]
     text = next(part["description"] for part in said if "description" in part)
     text = text.replace("``", "").rstrip(".")
-    ranges = dict.fromkeys(_range(part) for part in said if part.get("type") != "object")
-    choices = dict.fromkeys(str(choice) for part in said for choice in _choices(part))
+    ranges = dict.fromkeys(range_of(part) for part in said if part.get("type") != "object")
+    choices = dict.fromkeys(str(choice) for part in said for choice in choices_of(part))
     notes = [one for one in ranges if one and not re.search(r"[\[(]0, 1", text)]
     if choices and not all(choice in text for choice in choices):
         several = any(part.get("type") == "array" for part in said)
@@ -72,7 +72,8 @@ def meaning(model: type[BaseModel], keys: Sequence[str]) -> str:
 
 
 @cache
-def _schema(model: type[BaseModel]) -> dict[str, Any]:
+def schema_of(model: type[BaseModel]) -> dict[str, Any]:
+    """JSON schema of a model."""
     return model.model_json_schema()
 
 
@@ -89,11 +90,13 @@ def _parts(node: Mapping[str, Any], defined: Mapping[str, Any]) -> Iterator[Mapp
         yield from _parts(one, defined)
 
 
-def _choices(part: Mapping[str, Any]) -> list:
+def choices_of(part: Mapping[str, Any]) -> list:
+    """Values that a part of a JSON schema lists."""
     return [part["const"]] if "const" in part else part.get("enum", [])
 
 
-def _range(part: Mapping[str, Any]) -> str:
+def range_of(part: Mapping[str, Any]) -> str:
+    """Bounds of a part of a JSON schema in words; empty without."""
     words = {
         "minimum": "from {:.10g}",
         "exclusiveMinimum": "above {:.10g}",

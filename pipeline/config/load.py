@@ -201,17 +201,34 @@ def load_experiments(folder: Path) -> dict[str, Experiment]:
     return experiments
 
 
-def kind_of(path: Path) -> type[Experiment] | type[Study]:
-    """What a YAML file means to be: judged by its keys, or else by the name of its folder."""
+KINDS = {
+    "experiments": Experiment,
+    "studies": Study,
+    "comparisons": Comparison,
+    "imports": ImportSettings,
+}
+"""What a YAML file may be, by the usual name of its folder."""
+
+
+def kind_of(path: Path) -> type[BaseModel]:
+    """What a YAML file means to be: judged by its keys, or else by the name of its folder.
+
+    Where neither tells, it is the kind that lacks the fewest keys.
+    """
     raw = _read_mapping(Path(path))
-    known = {
-        model: {field.alias or name for name, field in model.model_fields.items()}
-        for model in (Experiment, Study)
-    }
-    as_experiment, as_study = (len(keys & raw.keys()) for keys in known.values())
-    if as_experiment == as_study:
-        return Study if Path(path).absolute().parent.name == "studies" else Experiment
-    return Study if as_study > as_experiment else Experiment
+
+    def shared(model: type[BaseModel]) -> int:
+        return len(raw.keys() & {f.alias or name for name, f in model.model_fields.items()})
+
+    def lacking(model: type[BaseModel]) -> int:
+        return sum(f.is_required() and name not in raw for name, f in model.model_fields.items())
+
+    most = max(map(shared, KINDS.values()))
+    nearest = [model for model in KINDS.values() if shared(model) == most]
+    by_folder = KINDS.get(Path(path).absolute().parent.name)
+    if not most:
+        return by_folder or Experiment
+    return by_folder if by_folder in nearest else min(nearest, key=lacking)
 
 
 def load_studies(
@@ -242,12 +259,20 @@ def load_comparisons(folder: Path, experiments: Mapping[str, Experiment]) -> dic
     """
     comparisons, found = _load_each(_files_of(folder, "comparisons"), load_comparison)
     for one in comparisons.values():
-        named = (experiments[name] for name in one.experiments if name in experiments)
-        rows = {experiment.name: check_measured(experiment) for experiment in named}
-        found += [(one.path, text) for text in comparison_problems(one, experiments, rows)]
+        found += problems_of_comparison(one, experiments)
     if found:
         raise ConfigError(found)
     return comparisons
+
+
+def problems_of_comparison(
+    comparison: Comparison, experiments: Mapping[str, Experiment]
+) -> list[tuple[Path, str]]:
+    """Why its two experiments do not compare, their measured rows' readings included."""
+    named = (experiments[name] for name in comparison.experiments if name in experiments)
+    rows = {experiment.name: check_measured(experiment) for experiment in named}
+    texts = comparison_problems(comparison, experiments, rows)
+    return [(comparison.path, text) for text in texts]
 
 
 def check_measured(experiment: Experiment) -> tuple[MeasuredRow, ...]:

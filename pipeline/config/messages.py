@@ -122,6 +122,9 @@ def read_number(value: Any, expected: str) -> float:
     return number
 
 
+_UNIT = re.compile(r"^an? [a-z ]+ in (kg m-3|degrees|[A-Za-z]+)\b")
+
+
 def _inside(number: float, gt=-math.inf, ge=-math.inf, lt=math.inf, le=math.inf) -> bool:
     return gt < number < lt and ge <= number <= le
 
@@ -129,7 +132,8 @@ def _inside(number: float, gt=-math.inf, ge=-math.inf, lt=math.inf, le=math.inf)
 def quantity(expected: str, *, slips: tuple[float, ...] = (), **bounds: float) -> Any:
     """A float field with bounds (gt, ge, lt, le) whose message says what is ``expected``.
 
-    ``slips`` are factors of usual mistakes of unit (0.01 for percent); the first one that brings
+    A unit that it names ("a length in m, ...") goes into the JSON schema as ``unit``. ``slips`` are
+    factors of usual mistakes of unit (0.01 for percent); the first one that brings
     the value inside the bounds is offered.
     """
 
@@ -141,7 +145,9 @@ def quantity(expected: str, *, slips: tuple[float, ...] = (), **bounds: float) -
         hint = f"; did you mean {meant[0]:.6g}?" if meant else ""
         raise ValueError(f"expected {expected}{hint}")
 
-    return Annotated[float, Field(**bounds), BeforeValidator(check)]
+    unit = _UNIT.search(expected)
+    extra = {"unit": unit[1]} if unit else None
+    return Annotated[float, Field(**bounds, json_schema_extra=extra), BeforeValidator(check)]
 
 
 def whole(expected: str, *, ge: int, le: int) -> Any:

@@ -135,7 +135,7 @@ def _bounds(centers: np.ndarray) -> np.ndarray:
 
 
 def _attributes(name: str, entry: dict[str, Any], dataset: xr.Dataset) -> dict[str, Any]:
-    skip = ("dtype", "fill", "flags", "ancillary")
+    skip = ("dtype", "fill", "flags", "ancillary", "in")
     attrs = {key: value for key, value in entry.items() if key not in skip}
     if "flags" in entry:
         attrs["flag_values"] = np.arange(len(entry["flags"]), dtype=np.int8)

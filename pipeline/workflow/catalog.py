@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
+import yaml
+
 from pipeline.config.load import (
     check_measured,
     digest,
@@ -16,9 +18,10 @@ from pipeline.config.load import (
     load_studies,
     sources,
 )
-from pipeline.config.messages import ConfigError
+from pipeline.config.messages import ConfigError, did_you_mean
 
 PACKAGE = Path(__file__).parents[1]
+DEFAULTS = PACKAGE.parent / "workflow_configs" / "default.yaml"
 CODE = (".py", ".pyc", ".smk")
 OWN = {
     "experiments_dir": "workflow_configs/experiments",
@@ -42,6 +45,7 @@ class Catalog:
     """
 
     def __init__(self, config: Mapping[str, object]):
+        check_settings(config)
         self.results = str(config["results_dir"]).rstrip("/")
         self._on_cluster = bool(config["dask_scheduler"])
         own = {key: str(config[key]).rstrip("/") == folder for key, folder in OWN.items()}
@@ -154,6 +158,18 @@ class Catalog:
         if experiment.is_draw and experiment.readings.every:
             readings = experiment.mass_scheduled / experiment.readings.every
         return (cores or 1) if cells * readings * experiment.replicates > SMALL_RUN else 1
+
+
+def check_settings(config: Mapping[str, object]) -> None:
+    """ConfigError with each key of ``--config`` that the workflow does not know."""
+    known = yaml.safe_load(DEFAULTS.read_text("utf-8"))
+    found = [
+        (Path("--config"), f"{key}: unknown key{did_you_mean(key, known, 'known keys:')}")
+        for key in config
+        if key not in known
+    ]
+    if found:
+        raise ConfigError(found)
 
 
 def _said(row) -> tuple:

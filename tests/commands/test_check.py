@@ -10,6 +10,7 @@ import pytest
 CORPUS = Path(__file__).parents[1] / "config" / "bad"
 EXPERIMENTS = sorted((CORPUS / "experiments").glob("*/*.yaml"))
 STUDIES = sorted((CORPUS / "studies").glob("*.yaml"))
+OTHERS = sorted(path for kind in ("comparisons", "imports") for path in (CORPUS / kind).glob("*"))
 TABLES = sorted((CORPUS / "experiments").glob("*/measured/*.csv"))
 OTHERS_ONLY = "other_experiments_only"  # told in other words where the table itself is checked
 
@@ -21,7 +22,7 @@ def expectations(path: Path) -> list[str]:
 
 @pytest.mark.parametrize(
     "path",
-    [*EXPERIMENTS, *STUDIES, *(table for table in TABLES if table.stem != OTHERS_ONLY)],
+    [*EXPERIMENTS, *STUDIES, *OTHERS, *(table for table in TABLES if table.stem != OTHERS_ONLY)],
     ids=lambda path: path.stem,
 )
 def test_what_the_workflow_refuses_is_refused(path, call, assert_in_house_style):
@@ -42,6 +43,45 @@ def test_a_line_says_what_each_sound_file_holds(mine, call):
         "mine/studies/loop.yaml: study of 1 experiment, 12 measured values, 2 held out",
         "mine/experiments/measured/box.csv: 12 values of box",
     ]
+
+
+def test_a_comparison_is_checked_with_its_experiments(mine, call):
+    """Judged by its keys where its folder has another name; the line says what it compares."""
+    for name in ("slow", "fast"):
+        assert call("new", name, "--kind", "draw", "--dir", mine / "experiments").status == 0
+    for folder in ("comparisons", "elsewhere"):
+        (mine / folder).mkdir()
+        text = "title: Two rates\nexperiments: [slow, fast]\nthreshold_mpa: 0.02\n"
+        (mine / folder / "rates.yaml").write_text(text, "utf-8")
+        answer = call("check", mine / folder / "rates.yaml")
+        assert (answer.status, answer.err) == (0, "")
+        assert "comparison of slow and fast, 3 load cells, threshold 0.02 MPa" in answer.out
+    assert "mine/comparisons/rates.yaml: comparison of" in call("check", "mine").out
+
+    path = mine / "comparisons" / "rates.yaml"
+    path.write_text(path.read_text("utf-8").replace("fast", "box"), "utf-8")
+    answer = call("check", "mine")
+    assert answer.status == 1
+    assert "experiments[1] = box: a static experiment; expected one with draw" in answer.err
+    path.write_text(path.read_text("utf-8").replace("box", "fats"), "utf-8")
+    assert (
+        "experiments[1] = fats: no such experiment; did you mean fast?" in call("check", path).err
+    )
+
+
+def test_import_settings_are_checked_wherever_they_lie(mine, call, repository):
+    settings = mine / "settings.yaml"
+    settings.write_text("columns: {x: XMID}\ngaps: outside\n", "utf-8")
+    assert "settings.yaml: import settings: columns, gaps\n" in call("check", settings).out
+    own = repository / "tests" / "files"
+    files = [*own.glob("mine_files/*settings.yaml"), *own.glob("bad_imports/*/settings.yaml")]
+    said = {str(path): call("check", path) for path in files}
+    refused = {path for path, answer in said.items() if answer.status}
+    assert {path.split("/")[-2] for path in refused} == {
+        "settings_key_unknown",
+        "settings_unit_unknown",
+    }
+    assert all("import settings: " in said[path].out for path in said.keys() - refused)
 
 
 def test_problems_of_several_files_come_together_and_sound_files_are_still_told(mine, call):

@@ -148,12 +148,16 @@ CASES = {  # name: (what is there, words, what the error has)
     ),
     "file_in_no_folder": ((), ("check", "nowhere/box.yaml"), ["nowhere/box.yaml", "no such file"]),
     "table_missing": ((), ("check", TABLE + ".csv"), ["no such file", "did you mean box.csv?"]),
-    "folder_empty": ((make("empty"),), ("check", "empty"), ["holds no experiments and no studies"]),
+    "folder_empty": (
+        (make("empty"),),
+        ("check", "empty"),
+        ["no experiments, studies or comp"],
+    ),
     "folder_named_as_a_file": ((make("a.yaml"),), ("check", "a.yaml"), ["holds no experiments"]),
     "neither_yaml_nor_table": (
         (write("notes.txt", "x"),),
         ("check", "notes.txt"),
-        ["expected an experiment or a study (.yaml), or a measured table (.csv or .nc)"],
+        ["expected an experiment, a study, a comparison or import settings (.yaml), or a meas"],
     ),
     "spreadsheet": ((write("box.xlsx", b"PK"),), ("check", "box.xlsx"), ["measured table (.csv"]),
     # check: YAML

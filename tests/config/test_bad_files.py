@@ -7,11 +7,19 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.config.load import load_experiment, load_experiments, load_study
+from pipeline.config.load import (
+    load_comparison,
+    load_experiment,
+    load_experiments,
+    load_import_settings,
+    load_study,
+)
 
 BAD = Path(__file__).parent / "bad"
 EXPERIMENTS = sorted((BAD / "experiments").glob("*/*.yaml"))
 STUDIES = sorted((BAD / "studies").glob("*.yaml"))
+COMPARISONS = sorted((BAD / "comparisons").glob("*.yaml"))
+IMPORTS = sorted((BAD / "imports").glob("*.yaml"))
 TABLES = sorted((BAD / "experiments").glob("*/measured/*.csv"))
 
 
@@ -44,9 +52,16 @@ def test_bad_table_is_named_with_line_and_column(path, message):
         assert part in text
 
 
-@pytest.mark.parametrize("path", STUDIES, ids=identify)
-def test_bad_study_is_named_with_key_and_remedy(path, message):
-    text = message(load_study, path)
+LOADED_BY = {
+    **dict.fromkeys(STUDIES, load_study),
+    **dict.fromkeys(COMPARISONS, load_comparison),
+    **dict.fromkeys(IMPORTS, load_import_settings),
+}
+
+
+@pytest.mark.parametrize("path", LOADED_BY, ids=identify)
+def test_bad_study_comparison_or_import_is_named_with_key_and_remedy(path, message):
+    text = message(LOADED_BY[path], path)
     assert text.splitlines()[0].endswith(path.name)
     expected = expectations(path)
     assert expected
@@ -55,4 +70,6 @@ def test_bad_study_is_named_with_key_and_remedy(path, message):
 
 
 def test_the_corpus_is_large_enough():
-    assert len(EXPERIMENTS) + len(STUDIES) + len(TABLES) >= 35
+    kinds = (EXPERIMENTS, STUDIES, COMPARISONS, IMPORTS, TABLES)
+    assert all(len(kind) >= 7 for kind in kinds)
+    assert sum(map(len, kinds)) >= 150

@@ -1,5 +1,6 @@
 """A mine's files become experiments that load and run, with every number where it belongs."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -95,6 +96,39 @@ def test_missing_blocks_can_be_outside(imported, tmp_path):
     expected = np.ones((2, 2, 3), dtype=bool)
     expected[1, 0, 1] = expected[1, 1, 2] = False
     np.testing.assert_array_equal(ground_of(experiment), expected)
+
+
+@pytest.mark.parametrize("degrees", [12.34, -0.5, 44, 90 + 30])
+def test_a_rotated_grid_turned_back_as_the_error_says_is_imported(
+    imported, tmp_path, capsys, degrees
+):
+    """Gaps included: the recipe's two formulas, applied to the columns as they stand there."""
+    columns, rows = np.array([5000.0, 2000.0]), np.random.default_rng(5)
+    plan = np.argwhere(rows.random((40, 30)) > 0.1) * 10.0
+    angle = np.radians(degrees)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    x, y = (plan @ turn.T + columns).round(3).T
+    path = tmp_path / "blocks.csv"
+
+    def write(x, y):
+        lines = [
+            f"{a:.3f},{b:.3f},{z},10,10,10,2.6" for z in (5, 15) for a, b in zip(x, y, strict=True)
+        ]
+        path.write_text("\n".join(["X,Y,Z,DX,DY,DZ,SG", *lines]) + "\n")
+
+    write(x, y)
+    assert main(["import", "blocks", str(path), "--name", "cave", "--into", str(tmp_path)]) == 1
+    said = capsys.readouterr().err
+    rotation = (degrees + 45) % 90 - 45
+    way = "counterclockwise" if rotation > 0 else "clockwise"
+    assert f"the grid is rotated by {abs(rotation):.1f}° {way} in plan" in said
+    formulas = re.findall(r"[xy]' = ([^,\n]+)", said)
+    assert len(formulas) == 2
+    write(*(eval(f.replace(" (", " * ("), {"x": x, "y": y}) for f in formulas))
+    geometry = imported("blocks", path, "--gaps", "outside", name="turned").geometry
+    sides = (geometry.width, geometry.length)
+    assert sides == ((300, 400) if degrees > 90 else (400, 300))
+    assert geometry.cell_size == 10
 
 
 def test_blocks_that_are_no_cubes_are_divided_into_cells(imported, tmp_path):

@@ -10,7 +10,14 @@ import xarray as xr
 from compliance_checker.runner import CheckSuite, ComplianceChecker
 
 from pipeline.calibrate.calibration import calibrate
-from pipeline.files.netcdf import describe, read_dataset, variable_table, write_dataset
+from pipeline.files.netcdf import (
+    STATISTICS,
+    VARIANTS,
+    describe,
+    read_dataset,
+    variable_table,
+    write_dataset,
+)
 from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.statistics import replicate_statistics
 from pipeline.parameters import declared_parameters
@@ -331,3 +338,22 @@ def test_calibration_document_is_json(column, tmp_path):
     document = calibrate(experiment, setup, declared_parameters(experiment), ())
     write_json(tmp_path / "calibration.json", document)
     assert read_json(tmp_path / "calibration.json")["parameters_used"]["E"] == 0.9
+
+
+def test_the_table_says_of_each_variable_in_which_file_and_on_what_it_is(written):
+    """Both ways: nothing is written that the table has elsewhere, and most of it is written."""
+    seen = set()
+    for kind in ("static", "draw", "mine"):
+        for file in FILES:
+            for name, variable in read_dataset(written(kind)[1] / f"{file}.nc").variables.items():
+                derived = file == "statistics" and name.rpartition("_")[2] in STATISTICS
+                variant = any(suffix in str(name) for suffix in VARIANTS)
+                if str(name).endswith("_bnds") or derived or variant:
+                    continue
+                dims = variable_table()[str(name)].get("in", {}).get(file)
+                assert dims is not None, f"give {name} the file {file} in variables.yaml"
+                assert dims.split() == [str(dim) for dim in variable.dims], name
+                seen.add((name, file))
+    told = {(n, file) for n, entry in variable_table().items() for file in entry["in"]}
+    unseen = {one for one in told - seen if one[1] != "residual"}  # a study's
+    assert unseen == {("load_cell_footprint", "replicates")}  # of the adjoint, beside a run

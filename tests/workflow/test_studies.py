@@ -11,7 +11,7 @@ from worlds import walled_world
 
 from pipeline.config.load import load_experiments
 from pipeline.files.atomic import read_json
-from pipeline.files.netcdf import read_dataset
+from pipeline.files.netcdf import read_dataset, variable_table
 
 pytestmark = pytest.mark.workflow
 
@@ -73,7 +73,10 @@ def test_the_loop_is_closed_from_readings_to_the_page(run):
     assert document["verdict"] == "effect"
     assert document["effects_added"][0]["name"] == "wall_friction"
     assert document["error"]["held_out"]["ratio"] < 0.5
-    assert read_dataset(run.made / "residual.nc").sizes["reading"] == 9
+    residual = read_dataset(run.made / "residual.nc")
+    assert residual.sizes["reading"] == 9
+    told = {n: e["in"]["residual"] for n, e in variable_table().items() if "residual" in e["in"]}
+    assert told == {str(name): " ".join(map(str, v.dims)) for name, v in residual.variables.items()}
     assert (run.made / "rounds" / "round_1.nc").is_file()
     assert read_json(run.made / "attribution.json")["verdict"] == "effect"
     assert read_json(run.made / "improved.json")["experiments"].keys() == set(NAMES)

@@ -15,6 +15,8 @@ OFF_GRID = 0.01
 """Distance from the grid, in blocks, beyond which a block is off it."""
 ROTATED = 0.02
 """Angle in degrees beyond which a grid counts as rotated."""
+MOST = 0.8
+"""Share of blocks that have to agree on an angle for a grid to count as rotated."""
 _SAMPLE = 2000  # blocks whose neighbors tell the rotation
 
 
@@ -69,19 +71,22 @@ def regular_grid(blocks: BlockTable, gaps: str = "refuse", base: float | None = 
     size = np.array([_extent(blocks, keep, axis) for axis in range(3)])
     index = np.empty((len(centers), 3), dtype=np.int64)
     wrong: list[str] = []
+    off_grid = np.zeros(len(centers), dtype=bool)
     corner = np.empty(3)
     for axis in range(3):
         index[:, axis], corner[axis], off = _place(centers[:, axis], keep, size[axis])
+        outlying = keep & (np.abs(off) > OFF_GRID * size[axis])
+        off_grid |= outlying
         wrong += some_of(
             [
                 f"line {blocks.table.lines[row]}, {names[axis]} = {centers[row, axis]:.10g}: off "
                 f"the grid by {off[row]:.3g} m; expected {centers[row, axis] - off[row]:.10g} at "
                 f"the blocks' spacing of {size[axis]:.6g} m"
-                for row in np.nonzero(keep & (np.abs(off) > OFF_GRID * size[axis]))[0]
+                for row in np.nonzero(outlying)[0]
             ]
         )
     if wrong:
-        _refuse(blocks, wrong)
+        _refuse(blocks, [*_mostly_off(off_grid, keep, size), *wrong])
     shape = tuple(int(n) for n in index[keep].max(axis=0) + 1)
     _refuse_repeated(blocks, keep, index, shape)
     x, y, z = index[keep].T
@@ -152,6 +157,18 @@ def _place(
     return index - lowest, float(np.round(corner, 6)), off
 
 
+def _mostly_off(off_grid: np.ndarray, keep: np.ndarray, size: np.ndarray) -> list[str]:
+    """What to say where it is not some blocks that are off the grid, but there is no grid."""
+    count = int(off_grid.sum())
+    if count <= keep.sum() / 4:
+        return []
+    return [
+        f"irregular: {count} of {int(keep.sum())} blocks are off any grid of "
+        f"{size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g} m along x, y and z (its spacing varies, or "
+        "it dips); resample the model to blocks of one size in rows along x, y and z"
+    ]
+
+
 def _gaps(blocks, ground, declared, gaps, corner, size) -> list[str]:
     """Notes on the places of the box without a block; an error where they are none to leave."""
     missing = ~declared
@@ -220,10 +237,44 @@ def _refuse_repeated(blocks, keep, index, shape) -> None:
 
 
 def _refuse_rotated(blocks: BlockTable, centers: np.ndarray) -> None:
-    """Refuse a grid whose blocks' nearest neighbors in plan lie along other axes than x and y."""
+    """Refuse a grid whose blocks' nearest neighbors in plan lie along other axes than x and y.
+
+    The error names the angle and turns the blocks back by it, about the center of the first one.
+    """
     plan = np.unique(np.round(centers[:, :2], 4), axis=0)
     if len(plan) < 3:
         return
+    rotation, distance, share = _rotation(plan)
+    if abs(rotation) <= ROTATED or share < MOST:
+        return
+    way, back = ("clockwise", "counterclockwise")[:: -1 if rotation > 0 else 1]
+    plus, minus = ("+", "-") if rotation > 0 else ("-", "+")
+    x, y = centers[0, :2].round(3)
+    c, s = np.cos(np.radians(rotation)), np.sin(np.radians(abs(rotation)))
+    formula = (
+        f"x' = {x:.10g} + {c:.8f} (x - {x:.10g}) {plus} {s:.8f} (y - {y:.10g}), "
+        f"y' = {y:.10g} {minus} {s:.8f} (x - {x:.10g}) + {c:.8f} (y - {y:.10g})"
+    )
+    _refuse(
+        blocks,
+        [
+            f"the grid is rotated by {abs(rotation):.1f}° {way} in plan (nearest blocks "
+            f"{distance:.4g} m apart); export the model unrotated, in its own axes, so that its "
+            "blocks' sides lie along x and y",
+            f"or turn it {back}, and drawpoints and load cells with it: {formula}",
+        ],
+    )
+
+
+def _rotation(plan: np.ndarray) -> tuple[float, float, float]:
+    """How a set of points (point, 2) is turned, if it is a grid.
+
+    Returns
+    -------
+    rotation : degrees from x to the nearest axis of the grid, in (-45, 45], counterclockwise > 0
+    distance : between nearest points, m
+    share : of the points whose nearest neighbor lies within 1° of the grid's axes
+    """
     sample = plan[:: max(1, len(plan) // _SAMPLE)]
     _, neighbors = cKDTree(plan).query(sample, k=2)
     toward = plan[neighbors[:, 1]] - sample
@@ -231,16 +282,6 @@ def _refuse_rotated(blocks: BlockTable, centers: np.ndarray) -> None:
     mean = np.exp(4j * np.radians(angle)).mean()
     center = np.degrees(np.angle(mean)) / 4
     off = (angle - center + 45) % 90 - 45
-    rotation = center + float(np.median(off))
-    if abs(rotation) <= ROTATED or np.mean(np.abs(off - np.median(off)) < 1.0) < 0.8:
-        return
+    middle = float(np.median(off))
     distance = float(np.median(np.hypot(*toward.T)))
-    way = "counterclockwise" if rotation > 0 else "clockwise"
-    _refuse(
-        blocks,
-        [
-            f"the grid is rotated by {abs(rotation):.1f}° {way} in plan (nearest blocks "
-            f"{distance:.4g} m apart); export the model unrotated, in its own axes, so that its "
-            "blocks' sides lie along x and y"
-        ],
-    )
+    return center + middle, distance, float(np.mean(np.abs(off - middle) < 1.0))

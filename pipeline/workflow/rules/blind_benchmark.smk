@@ -24,7 +24,12 @@ rule blind_benchmark:
         runs=rules.blind_worlds.output.runs,
     output:
         scores="<results>/blind_benchmark/scores.json",
-        report="<results>/blind_benchmark/report.html",
+        report=report(
+            "<results>/blind_benchmark/report.html",
+            caption="../report/blind_benchmark.rst",
+            category="Blind benchmark",
+            labels={"result": "page"},
+        ),
         data="<results>/blind_benchmark/report_data.csv",
     log:
         "<results>/logs/blind_benchmark.log",

@@ -7,7 +7,13 @@ rule compare:
     output:
         numbers="<results>/comparisons/{comparison}/comparison.json",
         readings="<results>/comparisons/{comparison}/comparison.csv",
-        load_cells="<results>/comparisons/{comparison}/load_cells.csv",
+        load_cells=report(
+            "<results>/comparisons/{comparison}/load_cells.csv",
+            caption="../report/comparison.rst",
+            category="Comparisons",
+            subcategory="{comparison}",
+            labels={"result": "load cells"},
+        ),
     log:
         "<results>/logs/comparisons/{comparison}/compare.log",
     params:
@@ -25,7 +31,13 @@ rule comparison_report:
     input:
         numbers=rules.compare.output.numbers,
     output:
-        report="<results>/comparisons/{comparison}/report.html",
+        report=report(
+            "<results>/comparisons/{comparison}/report.html",
+            caption="../report/comparison.rst",
+            category="Comparisons",
+            subcategory="{comparison}",
+            labels={"result": "page"},
+        ),
         data="<results>/comparisons/{comparison}/report_data.csv",
     log:
         "<results>/logs/comparisons/{comparison}/comparison_report.log",

@@ -20,7 +20,12 @@ rule effect_catalogue:
     input:
         pictures=rules.effect_pictures.output.pictures,
     output:
-        page="<results>/effects/index.html",
+        page=report(
+            "<results>/effects/index.html",
+            caption="../report/effects.rst",
+            category="Effects",
+            labels={"result": "catalogue"},
+        ),
         numbers="<results>/effects/index.json",
     log:
         "<results>/logs/effect_catalogue.log",

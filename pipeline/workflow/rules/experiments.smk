@@ -68,7 +68,13 @@ rule aggregate:
         fields=rules.replicates.output.fields,
     output:
         statistics="<results>/experiments/{experiment}/statistics.nc",
-        base_stress="<results>/experiments/{experiment}/base_stress.csv",
+        base_stress=report(
+            "<results>/experiments/{experiment}/base_stress.csv",
+            caption="../report/base_stress.rst",
+            category="Experiments",
+            subcategory="{experiment}",
+            labels={"result": "base stress"},
+        ),
     log:
         "<results>/logs/experiments/{experiment}/aggregate.log",
     params:
@@ -109,7 +115,13 @@ rule report:
         base_stress=rules.aggregate.output.base_stress,
         validation=rules.validate.output.validation,
     output:
-        report="<results>/experiments/{experiment}/report.html",
+        report=report(
+            "<results>/experiments/{experiment}/report.html",
+            caption="../report/experiment.rst",
+            category="Experiments",
+            subcategory="{experiment}",
+            labels={"result": "page"},
+        ),
         data="<results>/experiments/{experiment}/report_data.csv",
     log:
         "<results>/logs/experiments/{experiment}/report.log",

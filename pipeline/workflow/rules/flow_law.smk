@@ -4,7 +4,12 @@
 rule flow_law:
     output:
         law="<results>/flow_law/flow_law.json",
-        figure="<results>/flow_law/flow_law.svg",
+        figure=report(
+            "<results>/flow_law/flow_law.svg",
+            caption="../report/flow_law.rst",
+            category="Flow law",
+            labels={"result": "figure"},
+        ),
         data="<results>/flow_law/flow_law.csv",
     log:
         "<results>/logs/flow_law.log",

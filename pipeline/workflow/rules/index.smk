@@ -18,7 +18,12 @@ rule index:
         ),
         flow_law=rules.flow_law.output.figure,
     output:
-        index="<results>/index.html",
+        index=report(
+            "<results>/index.html",
+            caption="../report/index.rst",
+            category="Overview",
+            labels={"result": "index"},
+        ),
         numbers="<results>/index.json",
     log:
         "<results>/logs/index.log",

@@ -91,7 +91,13 @@ rule study_report:
         predictions=rules.close_loop.output.predictions,
         improved=rules.improved.output.improved,
     output:
-        report="<results>/studies/{study}/report.html",
+        report=report(
+            "<results>/studies/{study}/report.html",
+            caption="../report/study.rst",
+            category="Studies",
+            subcategory="{study}",
+            labels={"result": "page"},
+        ),
         data="<results>/studies/{study}/report_data.csv",
     log:
         "<results>/logs/studies/{study}/study_report.log",
