@@ -73,7 +73,8 @@ def write_blind_report(scores: Mapping[str, Any], page: str | Path, data: str | 
 
 
 def blind_page(scores: Mapping[str, Any], data: Data, file_names: Iterable[str]) -> str:
-    """HTML of the page; `file_names` are linked at its bottom."""
+    """HTML of the page; `file_names` are linked at its bottom, the first has its data."""
+    names = list(file_names)
     return render(
         "blind.html.j2",
         verdict=verdict(scores, data),
@@ -93,7 +94,8 @@ def blind_page(scores: Mapping[str, Any], data: Data, file_names: Iterable[str])
         remeasured=remeasured_table(scores, data),
         worlds=world_table(scores, data),
         provenance=provenance_table(scores, data),
-        files=list(file_names),
+        files=names,
+        numbers=names[0],
         versions=", ".join(f"{name} {version}" for name, version in scores["versions"].items()),
         commit=scores["commit"],
     )

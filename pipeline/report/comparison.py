@@ -98,6 +98,7 @@ def write_comparison_report(
                 share_figure(document, data),
             ],
             load_cells=load_cell_table(document, data),
+            numbers=Path(data_file).name,
             files=["comparison.json", "comparison.csv", "load_cells.csv", Path(data_file).name],
         )
     write_text(data_file, data.to_csv())

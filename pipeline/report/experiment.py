@@ -14,8 +14,9 @@ from pipeline.config.messages import shown
 from pipeline.effects import declared_effects
 from pipeline.files.atomic import write_text
 from pipeline.report.draw_figures import draw_figures, draw_tables
+from pipeline.report.draw_player import draw_player
 from pipeline.report.figures import panel_style
-from pipeline.report.page import Badge, Data, Table, decimals_of, parts, render
+from pipeline.report.page import Badge, Data, Table, decimals_of, parts, render, resource
 from pipeline.report.results import (
     THRESHOLD_SD,
     THRESHOLD_SHARE,
@@ -62,10 +63,11 @@ def write_report(
 
 
 def report_page(results: Results, data: Data, file_names: Iterable[str]) -> str:
-    """HTML of the page; `file_names` are linked at its bottom."""
-    experiment = results.experiment
+    """HTML of the page; `file_names` are linked at its bottom, the first has its data."""
+    experiment, names = results.experiment, list(file_names)
     is_draw = experiment.is_draw
     rest = stress_figures(results, data)
+    player = draw_player(results, data) if is_draw else None
     draw = draw_figures(results, data) if is_draw else []
     tables = {
         "parameters": parameter_table(results, data),
@@ -89,9 +91,12 @@ def report_page(results: Results, data: Data, file_names: Iterable[str]) -> str:
         statements=results.validation["statements"],
         tables=tables,
         draw_tables=draw_tables(results, data) if is_draw else [],
+        player=player,
+        script=resource("player.js"),
         draw_figures=draw,
         rest_figures=rest,
-        files=list(file_names),
+        files=names,
+        numbers=names[0],
         provenance={
             name: attributes.get(name, "unknown")
             for name in ("source", "git_revision", "config_sha256", "root_seed", "references")

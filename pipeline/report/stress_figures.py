@@ -43,8 +43,8 @@ def section_figure(results: Results, data: Data) -> Figure:
     x, y, z = (fields[axis].values for axis in "xyz")
     width, length, height = x[-1] + x[0], y[-1] + y[0], z[-1] + z[0]
     views = [("section", "height z (m)", z, results.section, section_size(width, height))]
-    base = lambda name, time: fields[name].isel(time=time, z=0).values  # noqa: E731
-    views.append(("base", "y (m)", y, base, section_size(width, length, (2.1, 2.1))))
+    size = section_size(width, length, (2.1, 2.1))
+    views.append(("base", "y (m)", y, results.base, size))
     panels = []
     for view, vertical, centers, values_of, size in views:
         for name, words, colors in (
@@ -67,7 +67,9 @@ def section_figure(results: Results, data: Data) -> Figure:
                 size,
                 bar=True,
             )
-            panel.image(x, centers, values, f"{words} of stress (kPa)", 0.0, high or 1.0, colors)
+            in_file = results.section_in_file if view == "section" else results.base_in_file
+            scale = f"{words} of stress (kPa)", 0.0, high or 1.0, colors
+            panel.image(x, centers, values, *scale, in_file(name, time))
             panels.append(panel)
     one = one_packing(results, data)
     caption = parts(
@@ -102,7 +104,8 @@ def one_packing(results: Results, data: Data) -> list[Panel]:
         section_size(x[-1] + x[0], z[-1] + z[0]),
         bar=True,
     )
-    panel.image(x, z, values, STRESS, 0.0, high or 1.0)
+    stored = results.section_in_file("vertical_stress_first", results.at_rest)
+    panel.image(x, z, values, STRESS, 0.0, high or 1.0, stored=stored)
     return [panel]
 
 
@@ -125,7 +128,9 @@ def footprint_figure(results: Results, data: Data) -> Figure:
             section_size(x[-1] + x[0], z[-1] + z[0]),
             bar=True,
         )
-        panel.image(x, z, share, "share of the reading (%)", 0.0, high or 1.0, SPREAD_COLORS)
+        stored = f"replicates.nc: load_cell_footprint[load_cell={i}]"
+        scale = "share of the reading (%)", 0.0, high or 1.0, SPREAD_COLORS
+        panel.image(x, z, share, *scale, stored)
         panels.append(panel)
     caption = parts(
         "Each place's own weight adds its share to the reading{}; the shares of a load cell add "

@@ -91,8 +91,10 @@ def study_page(
     data: Data,
     file_names: Iterable[str],
 ) -> str:
-    """HTML of the page; `found` is closed_loop.json, `file_names` are linked at its bottom."""
-    label = " and ".join(found["data_labels"])
+    """HTML of the page; `found` is closed_loop.json, `file_names` are linked at its bottom, the
+    first has its data.
+    """
+    label, names = " and ".join(found["data_labels"]), list(file_names)
     return render(
         "study.html.j2",
         study=study,
@@ -128,7 +130,8 @@ def study_page(
         next_measurement=next_table(found, data),
         improved=improved_table(improved, data),
         provenance=provenance_table(found, data),
-        files=list(file_names),
+        files=names,
+        numbers=names[0],
         versions=", ".join(f"{name} {version}" for name, version in found["versions"].items()),
     )
 
