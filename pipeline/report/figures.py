@@ -98,6 +98,7 @@ class Panel:
     """
 
     LEFT, RIGHT, BOTTOM, TOP = 0.66, 0.2, 0.52, 0.14  # margins, inches
+    BAR = 0.96  # right margin with a color bar and its labels
 
     def __init__(
         self,
@@ -117,14 +118,14 @@ class Panel:
         self.notes: list[str] = []
         self._data, self._figure, self._x, self._y = data, figure, x, y
         self._upright = upright
-        right = 0.82 if bar else self.RIGHT
+        right = self.BAR if bar else self.RIGHT
         self._width, self._height = left + size[0] + right, self.BOTTOM + size[1] + self.TOP
         self._left, self._size = left, size
         self._mpl = MplFigure(figsize=(self._width, self._height))
         FigureCanvasSVG(self._mpl)
         self.axes = self._mpl.add_axes(self._box(left, size[0]))
         self.axes.set(xlabel=y if upright else x, ylabel=x if upright else y)
-        self.axes.locator_params(axis="x", nbins=max(1, int(size[0] / 0.42)))
+        self.axes.locator_params(axis="x", nbins=max(1, int(size[0] / 0.42)), min_n_ticks=1)
         self.axes.locator_params(axis="y", nbins=max(2, int(size[1] / 0.36)))
         if upright:
             self.axes.invert_yaxis()

@@ -14,6 +14,7 @@ from pipeline.report.figures import (
     MUTED,
     ORANGE,
     SPREAD_COLORS,
+    STRESS_COLORS,
     Panel,
     section_size,
 )
@@ -47,9 +48,9 @@ def section_figure(results: Results, data: Data) -> Figure:
     views.append(("base", "y (m)", y, results.base, size))
     panels = []
     for view, vertical, centers, values_of, size in views:
-        for name, words, colors in (
-            ("vertical_stress_mean", "mean", "viridis"),
-            ("vertical_stress_std", "sd", SPREAD_COLORS),
+        for name, words, words_of_scale, colors in (
+            ("vertical_stress_mean", "mean", "mean stress", STRESS_COLORS),
+            ("vertical_stress_std", "sd", "sd of stress", SPREAD_COLORS),
         ):
             values = values_of(name, time)
             if not np.isfinite(values).any():
@@ -68,7 +69,7 @@ def section_figure(results: Results, data: Data) -> Figure:
                 bar=True,
             )
             in_file = results.section_in_file if view == "section" else results.base_in_file
-            scale = f"{words} of stress (kPa)", 0.0, high or 1.0, colors
+            scale = f"{words_of_scale} (kPa)", 0.0, high or 1.0, colors
             panel.image(x, centers, values, *scale, in_file(name, time))
             panels.append(panel)
     one = one_packing(results, data)
