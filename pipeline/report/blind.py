@@ -297,9 +297,10 @@ def reliability_figure(reliability: Sequence[Mapping[str, Any]], data: Data) -> 
     x = [row["mean_probability"] for row in rows]
     right, lows, highs = ([row["right"][key] for row in rows] for key in ("rate", "low", "high"))
     panel.points("added effects", x, right, lows, highs, BLUE)
-    caption = (
-        "Effects of the catalogue that the loop added, by their probability then, over all but the "
-        "hard nulls; bars: exact 95 % intervals."
+    caption = parts(
+        "Effects of the catalogue that the loop added (n = {}), by their probability then, over "
+        "all but the hard nulls; bars: exact 95 % intervals.",
+        data.number("reliability", "", "added effects", sum(row["right"]["of"] for row in rows)),
     )
     return Figure("reliability", "Are the probabilities right?", caption, [panel])
 

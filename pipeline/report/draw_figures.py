@@ -425,10 +425,12 @@ def e_min_figure(results: Results, data: Data) -> Figure:
     fitted = results.calibration["parameters"].get("E_min", {}).get("calibrated", False)
     caption = parts(
         "E_min is the share of its load that a cell of a movement zone passes on, set by the "
-        "height of that zone; ground at rest passes on E = {}. {}. The zones reach {} m.",
+        "height of that zone; ground at rest passes on E = {}. {}. The zones reach {} m, mean "
+        "over n = {} replicates.",
         data.number("E_min", "", "E", p.E),
         "Its level was calibrated here" if fitted else "It was not calibrated here",
         data.number("E_min", "", "height reached", reached, 2, "m"),
+        data.number("E_min", "", "replicates", results.count),
     )
     return Figure("E_min", "Load passed on by flowing ground", caption, [panel])
 

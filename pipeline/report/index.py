@@ -593,11 +593,12 @@ def transmission_figure(entries: Sequence[Entry], data: Data) -> Figure | None:
         panel.axes.xaxis.set_major_formatter("{x:g}")
         panel.axes.set_ylim(max(0.0, floor - 0.08), 1.02)
         panels.append(panel)
-    caption = (
-        "E against hydraulic radius times height, by material (marker) and wall friction angle "
-        "(color; hollow: not given). E rises towards 1 in large models and falls with wall "
-        "friction where the base is small. E belongs to a cell size: compare models with the same "
-        "one, or their ℓ in the table."
+    caption = parts(
+        "E against hydraulic radius times height of n = {} experiments, by material (marker) and "
+        "wall friction angle (color; hollow: not given). E rises towards 1 in large models and "
+        "falls with wall friction where the base is small. E belongs to a cell size: compare "
+        "models with the same one, or their ℓ in the table.",
+        data.number("transmission", "", "experiments", len(entries)),
     )
     return Figure("transmission", "E against the size of the model", caption, panels)
 
@@ -640,8 +641,9 @@ def published_figure(entries: Sequence[Entry], data: Data) -> Figure | None:
     )
     caption = parts(
         "With the published parameters and the declared inputs, our simulated stress over the "
-        "published simulated stress. A mean within {} % counts as reproduced; the other means do "
-        "not come out of the published inputs.",
+        "published simulated stress, n = {} experiments. A mean within {} % counts as reproduced; "
+        "the other means do not come out of the published inputs.",
+        data.number("published", "", "experiments", len(entries)),
         data.number("published", "", "reproduced within", 100 * REPRODUCED, 0, "%"),
     )
     return Figure("published", "Are the published simulations reproduced?", caption, [panel])
@@ -695,8 +697,9 @@ def error_figure(entries: Sequence[Entry], data: Data) -> Figure | None:
     panel.axes.xaxis.minorticks_off()
     labels = ", ".join(sorted({entry.label for entry in entries}))
     caption = parts(
-        "Error of every value, in standard deviations of the value; the scale is linear up to {} "
-        "and logarithmic beyond. Data: {}.",
+        "Error of every value (n = {}), in standard deviations of the value; the scale is linear "
+        "up to {} and logarithmic beyond. Data: {}.",
+        data.number("errors", "", "values", sum(len(e.validation["readings"]) for e in entries)),
         data.number("errors", "", "linear up to", THRESHOLD_SD, 0, "sd"),
         labels,
     )

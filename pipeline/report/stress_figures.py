@@ -20,6 +20,7 @@ from pipeline.report.figures import (
 )
 from pipeline.report.page import Data, Figure, parts
 from pipeline.report.results import Results
+from pipeline.sensitivity.footprints import FOOTPRINT_REPLICATES
 from pipeline.simulate import KPA
 
 STRESS = "vertical stress (kPa)"
@@ -135,8 +136,11 @@ def footprint_figure(results: Results, data: Data) -> Figure:
         panels.append(panel)
     caption = parts(
         "Each place's own weight adds its share to the reading{}; the shares of a load cell add "
-        "up to 100 %. Summed over y, averaged over the first replicates.{}",
+        "up to 100 %. Summed over y, averaged over the first n = {} replicates.{}",
         " before anything is drawn" if results.experiment.is_draw else " when full",
+        data.number(
+            "footprints", "", "replicates", min(FOOTPRINT_REPLICATES, results.experiment.replicates)
+        ),
         results.words_of_shown,
     )
     return Figure("footprints", "Where each load cell's stress comes from", caption, panels)
