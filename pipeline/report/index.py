@@ -32,6 +32,9 @@ from pipeline.report.study import VERDICTS
 from pipeline.validate.validation import CALIBRATED, DECLARED, REPRODUCED
 
 NAMES_WIDTH = 2.2  # of the experiments' names beside a figure, inches
+AGREES, DISAGREES = Badge("agrees", "good"), Badge("disagrees", "bad")
+FITTED, NO_DATA = Badge("fitted", "note"), Badge("no data", "note")
+OUTCOMES = (AGREES, FITTED, DISAGREES, NO_DATA)
 RUNS = {CALIBRATED: "calibrated", DECLARED: "as declared"}
 
 
@@ -262,6 +265,7 @@ def index_page(
     return render(
         "index.html.j2",
         overview=overview(entries, data),
+        glances=glances(entries, studies, data),
         threshold=parts(
             "A model agrees with its data if at least {} % of the values lie within {} standard "
             "deviations (sd) of the data. Fitted: it agrees, but every value was used in the "
@@ -313,6 +317,43 @@ def overview(entries: Sequence[Entry], data: Data):
             )
         )
     return sentence
+
+
+@dataclass(frozen=True)
+class Glance:
+    """Pages of one kind that ended alike: how many, and links to them."""
+
+    what: str
+    outcome: Badge | str
+    count: Number
+    links: list[Link]
+
+
+def glances(
+    entries: Sequence[Entry], studies: Sequence[Mapping[str, Any]], data: Data
+) -> list[Glance]:
+    """Experiments by whether they agree with their data, studies by their verdict."""
+    groups: dict[tuple[str, Badge], list[Link]] = {}
+    for outcome in OUTCOMES:
+        groups["experiments", outcome] = []
+    for entry in entries:
+        groups["experiments", outcome_of(entry)].append(Link(entry.name, entry.link))
+    for found in studies:
+        outcome = VERDICTS[found["verdict"]]
+        groups.setdefault(("studies", outcome), []).append(Link(found["study"], found["link"]))
+    return [
+        Glance(what, outcome, data.number("glance", what, outcome.text, len(links), 0), links)
+        for (what, outcome), links in groups.items()
+        if links
+    ]
+
+
+def outcome_of(entry: Entry) -> Badge:
+    """One of `OUTCOMES`: of the calibrated run, or as declared where none was calibrated."""
+    if not entry.label:
+        return NO_DATA
+    run = CALIBRATED if entry.is_calibrated else DECLARED
+    return _verdict(entry.agreement(run), entry.is_fitted and run == CALIBRATED)
 
 
 def static_table(entries: Sequence[Entry], data: Data) -> Table:
@@ -483,8 +524,8 @@ def _verdict(found: Agreement | None, is_fitted: bool) -> Badge | str:
     if found is None:
         return ""
     if not found.agrees:
-        return Badge("disagrees", "bad")
-    return Badge("fitted", "note") if is_fitted else Badge("agrees", "good")
+        return DISAGREES
+    return FITTED if is_fitted else AGREES
 
 
 def transmission_table(entries: Sequence[Entry], data: Data) -> Table:
