@@ -229,6 +229,13 @@ def test_what_a_user_writes_is_text(column, make_page):
     assert made.html.count("&lt;script&gt;alert(1)&lt;/script&gt; {{ 1 + 1 }}") >= 3
 
 
+def test_what_a_user_writes_is_text_beside_the_script_of_a_draw(drawn, make_page):
+    evil = "</script><script>alert(1)</script> {{ 1 + 1 }} \" '"
+    made = make_page(drawn("evil", title=evil, source=evil, material={"name": evil}))
+    assert made.html.count("<script") == made.html.count("</script") == 1
+    assert made.html.count("&lt;script&gt;alert(1)&lt;/script&gt; {{ 1 + 1 }}") >= 3
+
+
 @pytest.mark.parametrize(
     ("assumed", "key", "flagged"),
     [

@@ -105,6 +105,14 @@ def test_errors_tell_fitted_values_from_others(index, static, draw):
     assert len(declared) == 3 + 5
 
 
+def test_what_a_user_writes_is_text(index, column, make_page):
+    evil = "<script>alert(1)</script>"
+    made = make_page(column(title=evil, source=evil, material={"name": evil}))
+    html, _ = index(made)
+    assert "<script" not in html
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in html
+
+
 def test_the_same_results_give_the_same_bytes(index, static, draw):
     assert index(static, draw) == index(static, draw)
 
