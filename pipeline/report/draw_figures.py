@@ -7,15 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.files.netcdf import AS_DECLARED, WITHOUT_ZONE
-from pipeline.report.figures import (
-    GREEN,
-    INK,
-    MUTED,
-    ORANGE,
-    SHARE_COLORS,
-    Panel,
-    section_size,
-)
+from pipeline.report.figures import GREEN, INK, MUTED, ORANGE, SHARE_COLORS, Panel, section_size
 from pipeline.report.page import Data, Figure, Table, decimals_of, parts
 from pipeline.report.plan_figures import MOST_MAPS, areas_of, evenly, plan
 from pipeline.report.results import Results

@@ -10,7 +10,8 @@ from pages import row, shown_numbers
 
 from pipeline.files.atomic import read_json
 from pipeline.parameters import Parameters
-from pipeline.report.experiment import is_assumed, write_report
+from pipeline.report.experiment import write_report
+from pipeline.report.experiment_tables import is_assumed
 from pipeline.report.results import Agreement
 
 STATIC = {"sections", "profile", "filling", "spreading", "lattice", "convergence"}
