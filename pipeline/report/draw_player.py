@@ -13,7 +13,7 @@ from pipeline.report.draw_figures import (
     mass_drawn_words,
     stress_range,
 )
-from pipeline.report.figures import ORANGE, Panel, section_size
+from pipeline.report.figures import Panel, section_size
 from pipeline.report.page import Data, Figure, parts
 from pipeline.report.plan_figures import areas_of, evenly
 from pipeline.report.results import Results
@@ -96,7 +96,7 @@ def view_figure(results: Results, data: Data, times: list[int]) -> Figure:
     mark_base(section, results)
     plan.outlined_areas("drawpoint, in plan", areas_of(results.experiment.drawpoints))
     if results.experiment.load_cells:
-        plan.outlined_areas("load cell, in plan", areas_of(results.load_cells), ORANGE)
+        plan.outlined_areas("load cell, in plan", areas_of(results.load_cells), "dashed")
     caption = parts(
         "Mean vertical stress, n = {} replicates: x–z section at y = {} m, and the lowest level "
         "of cells in plan, on one scale. Blank: no material, or outside the ground. Drawpoints "

@@ -293,16 +293,23 @@ class Panel:
         self.axes.grid(False)
         self.color_bar(name, low, high, colors)
 
-    def outlined_areas(self, label, areas, color=INK) -> None:
-        """Outlines of the rectangles of a plan, (name, x, y, width, length) in m."""
+    def outlined_areas(self, label, areas, dash="solid") -> None:
+        """Outlines of the rectangles of a plan, (name, x, y, width, length) in m.
+
+        White on black, so that they stand out on every color of an image and on either page.
+        """
         for area, x, y, width, length in areas:
             self._data.add(self._figure, self.title, label, self._x, [x], f"y of {area} (m)", [y])
             corner = (x - width / 2, y - length / 2)
-            self.axes.add_patch(
-                Rectangle(corner, width, length, fill=False, edgecolor=color, linewidth=0.7)
-            )
-        stroke = f'stroke="var(--{_VARIABLES[color]})"'
-        self.legend[label] = _swatch(f'<rect x="8" y="1" width="10" height="10" {stroke}/>')
+            for color, thick, dashes in (("black", 1.8, "solid"), ("white", 0.8, dash)):
+                line = (0, _dashes(dashes)) if DASHES[dashes] else "solid"
+                style = {"edgecolor": color, "linewidth": thick, "linestyle": line}
+                self.axes.add_patch(Rectangle(corner, width, length, fill=False, **style))
+        square = '<rect x="8" y="1" width="10" height="10" stroke="{}" stroke-width="{}"{}/>'
+        dashed = f' stroke-dasharray="{DASHES[dash]}"' if DASHES[dash] else ""
+        self.legend[label] = _swatch(
+            square.format("black", 3, "") + square.format("white", 1.3, dashed)
+        )
 
     def color_bar(self, name, low, high, colors=STRESS_COLORS) -> None:
         """The scale of an image or of shaded points, at the right."""

@@ -41,7 +41,7 @@
     const parent = node.parentElement;
     if (!node.data.trim() || parent.closest("script, style")) continue;
     const style = getComputedStyle(parent);
-    if (style.visibility !== "visible") continue;
+    if (!parent.checkVisibility({ visibilityProperty: true })) continue; // a closed <details> too
     const range = document.createRange();
     range.selectNodeContents(node);
     const lines = [...range.getClientRects()].filter((line) => line.width > 1 && line.height > 1);
