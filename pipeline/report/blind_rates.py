@@ -59,7 +59,7 @@ def _limit(table: Table, bar: Mapping[str, Any], name: str) -> Markup | str:
     sign = "≥" if bar["stretch"] > bar["bar"] else "≤"
     factor, unit = (1.0, "") if bar["rate"] is None else (100.0, "%")
     number = table.number(bar["quantity"], name, factor * bar[name], unit=unit)
-    return parts("{} {}{}", sign, number, f" {unit}" if unit else "")
+    return parts("{}\N{NO-BREAK SPACE}{}{}", sign, number, unit and f"\N{NO-BREAK SPACE}{unit}")
 
 
 def _met(met: bool | None, broken: bool | None = None) -> Badge | str:

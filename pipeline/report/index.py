@@ -259,7 +259,7 @@ def overview(entries: Sequence[Entry], data: Data):
 class Glance:
     """Pages of one kind that ended alike: how many, and links to them."""
 
-    what: str
+    words: str
     outcome: Badge | str
     count: Number
     links: list[Link]
@@ -269,16 +269,22 @@ def glances(
     entries: Sequence[Entry], studies: Sequence[Mapping[str, Any]], data: Data
 ) -> list[Glance]:
     """Experiments by whether they agree with their data, studies by their verdict."""
+    plural = {"experiment": "experiments", "study": "studies"}
     groups: dict[tuple[str, Badge], list[Link]] = {}
     for outcome in OUTCOMES:
-        groups["experiments", outcome] = []
+        groups["experiment", outcome] = []
     for entry in entries:
-        groups["experiments", outcome_of(entry)].append(Link(entry.name, entry.link))
+        groups["experiment", outcome_of(entry)].append(Link(entry.name, entry.link))
     for found in studies:
         outcome = VERDICTS[found["verdict"]]
-        groups.setdefault(("studies", outcome), []).append(Link(found["study"], found["link"]))
+        groups.setdefault(("study", outcome), []).append(Link(found["study"], found["link"]))
     return [
-        Glance(what, outcome, data.number("glance", what, outcome.text, len(links), 0), links)
+        Glance(
+            what if len(links) == 1 else plural[what],
+            outcome,
+            data.number("glance", what, outcome.text, len(links), 0),
+            links,
+        )
         for (what, outcome), links in groups.items()
         if links
     ]

@@ -41,7 +41,8 @@
     const parent = node.parentElement;
     if (!node.data.trim() || parent.closest("script, style")) continue;
     const style = getComputedStyle(parent);
-    if (!parent.checkVisibility({ visibilityProperty: true })) continue; // a closed <details> too
+    if (!parent.checkVisibility({ visibilityProperty: true })) continue;
+    if (parent.closest("details:not([open])") && !parent.closest("summary")) continue;
     const range = document.createRange();
     range.selectNodeContents(node);
     const lines = [...range.getClientRects()].filter((line) => line.width > 1 && line.height > 1);
