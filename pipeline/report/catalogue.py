@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +68,7 @@ def _parameters(name: str, effect: Effect, data: Data) -> Table:
     return table
 
 
-def _figure(name: str, effect: Effect, pictures: Mapping, data: Data) -> Figure | None:
+def _figure(name: str, effect: Effect, pictures: xr.Dataset, data: Data) -> Figure | None:
     """Relative change of mean stress, section by section; None for a sensor's effect."""
     if effect.scope == "load_cell":
         return None
@@ -90,6 +89,8 @@ def _figure(name: str, effect: Effect, pictures: Mapping, data: Data) -> Figure 
             section_size(x[-1] + x[0], z[-1] + z[0], (2.2, 2.0)),
             bar=True,
         )
-        panel.image(x, z, change, "change of stress (%)", -largest, largest, CHANGE_COLORS)
+        scale = "change of stress (%)", -largest, largest, CHANGE_COLORS
+        panel.image(x, z, change, *scale, f"pictures.nc: {case}_change of {name}")
         panels.append(panel)
-    return Figure(name, "What it does", effect.moves.capitalize() + ".", panels)
+    caption = f"{effect.moves.capitalize()}. n = {pictures.attrs['replicate_count']} replicates."
+    return Figure(name, "What it does", caption, panels)

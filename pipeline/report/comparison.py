@@ -61,6 +61,12 @@ class Document:
         return self.content["threshold_mpa"]
 
     @property
+    def replicates_words(self) -> str:
+        """How many replicates each has."""
+        counts = [f"{one['replicates']}" for one in self.content["experiments"]]
+        return f"n = {counts[0] if len({*counts}) == 1 else ' and '.join(counts)} replicates"
+
+    @property
     def difference_words(self) -> str:
         """Which less which."""
         return f"{self.names[1]} less {self.names[0]}"
@@ -98,6 +104,7 @@ def write_comparison_report(
                 share_figure(document, data),
             ],
             load_cells=load_cell_table(document, data),
+            numbers=Path(data_file).name,
             files=["comparison.json", "comparison.csv", "load_cells.csv", Path(data_file).name],
         )
     write_text(data_file, data.to_csv())
@@ -225,9 +232,10 @@ def series_figure(document: Document, data: Data) -> Figure:
         panel.axes.set(ylim=(0, 1.08 * top), xlim=(0, document.mass[-1]))
         panels.append(panel)
     caption = parts(
-        "Simulated stress against the mass drawn; all panels have the same axes. Beside the whole "
-        "base, the {} load cells where the two differ most at a reading. Curves are straight "
-        "between the readings.",
+        "Simulated stress against the mass drawn, {}; all panels have the same axes. Beside the "
+        "whole base, the {} load cells where the two differ most at a reading. Curves are "
+        "straight between the readings.",
+        document.replicates_words,
         data.number("series", "", "load cells", len(shown) - 1),
     )
     return Figure("series", "The two side by side", caption, panels)
@@ -267,9 +275,11 @@ def difference_figure(document: Document, data: Data) -> Figure:
         for t in _readings(document)
     ]
     caption = parts(
-        "Difference of the mean stress on each load cell, {}, at the same mass drawn: red where "
-        "the second carries more, blue where the first does. Standard errors are in the files.",
+        "Difference of the mean stress on each load cell, {}, at the same mass drawn, {}: red "
+        "where the second carries more, blue where the first does. Standard errors are in the "
+        "files.",
         document.difference_words,
+        document.replicates_words,
     )
     return Figure("difference_maps", "Where and when they differ", caption, panels)
 
@@ -300,9 +310,10 @@ def map_figure(document: Document, data: Data, side: str) -> Figure:
         for t in _readings(document)
     ]
     caption = parts(
-        "Simulated mean stress on each load cell at the readings during draw of {}; the scale is "
-        "that of both experiments.",
+        "Simulated mean stress on each load cell at the readings during draw of {}, {}; the scale "
+        "is that of both experiments. Percentiles are in the files.",
         name,
+        document.replicates_words,
     )
     return Figure(f"stress_maps_{side}", f"Stress in plan: {name}", caption, panels)
 
@@ -337,9 +348,10 @@ def peak_figure(document: Document, data: Data) -> Figure:
                     "values",
                 )
             )
-    caption = (
-        "Highest mean stress of each load cell among the readings, and the mass drawn at which it "
-        "was first reached (but for 0.1 %); 0 is before draw."
+    caption = parts(
+        "Highest mean stress of each load cell among the readings, {}, and the mass drawn at "
+        "which it was first reached (but for 0.1 %); 0 is before draw.",
+        document.replicates_words,
     )
     return Figure("peak_maps", "Peak stress, and when", caption, panels)
 
@@ -381,8 +393,9 @@ def share_figure(document: Document, data: Data) -> Figure:
     ]
     caption = parts(
         "Share of the time, counted as mass drawn, for which the stress on a load cell is above "
-        "{} MPa: mean over the replicates, each straight between its readings.",
+        "{} MPa: mean over {}, each straight between its readings.",
         data.number("share_maps", "", "threshold", document.threshold, unit="MPa"),
+        document.replicates_words,
     )
     title = f"Share of time above {document.threshold:g} MPa"
     return Figure("share_maps", title, caption, panels)

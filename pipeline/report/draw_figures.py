@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pipeline.files.netcdf import AS_DECLARED, WITHOUT_ZONE
-from pipeline.report.figures import (
-    GREEN,
-    INK,
-    MUTED,
-    ORANGE,
-    SHARE_COLORS,
-    Panel,
-    section_size,
-)
+from pipeline.report.figures import GREEN, INK, MUTED, ORANGE, SHARE_COLORS, Panel, section_size
 from pipeline.report.page import Data, Figure, Table, decimals_of, parts
-from pipeline.report.plan_figures import MOST_MAPS, Area, evenly, plan
+from pipeline.report.plan_figures import MOST_MAPS, areas_of, evenly, plan
 from pipeline.report.results import Results
 from pipeline.report.stress_figures import measured_points
 from pipeline.simulate import visits
@@ -30,10 +24,9 @@ VARIANTS = {  # suffix of the variables of another run: its words, color and das
 
 
 def draw_figures(results: Results, data: Data) -> list[Figure]:
-    """Load cells, sections, growth of the movement zone, E_min and the extraction zone."""
+    """Sections, growth of the movement zone, E_min and the extraction zone."""
     return [
         *([base_map_figure(results, data)] if results.has_many_load_cells else []),
-        load_cell_figure(results, data),
         stress_section_figure(results, data),
         zone_section_figure(results, data),
         movement_zone_figure(results, data),
@@ -43,8 +36,8 @@ def draw_figures(results: Results, data: Data) -> list[Figure]:
 
 
 def draw_tables(results: Results, data: Data) -> list[Table]:
-    """Extremes of each load cell, its stress where they are many, what each drawpoint gave."""
-    by_period = [base_stress_table(results, data)] if results.has_many_load_cells else []
+    """Stress on each load cell by reading and its extremes, what each drawpoint gave."""
+    by_period = [base_stress_table(results, data)] if results.base_stress else []
     return [*by_period, load_cell_table(results, data), drawpoint_table(results, data)]
 
 
@@ -79,8 +72,11 @@ def measured_ratio(results: Results, load_cell: str):
     )
 
 
-def load_cell_figure(results: Results, data: Data) -> Figure:
-    """σᵥ/σᵥ₀ of each load cell against mass drawn, on the same axes (Figs 16 and 18)."""
+def load_cell_figure(results: Results, data: Data, times: Sequence[int]) -> Figure:
+    """σᵥ/σᵥ₀ of each load cell against mass drawn, on the same axes (Figs 16 and 18).
+
+    A cursor has a frame at each reading of `times`.
+    """
     ratio, mass = stress_ratio(results), results.drawn
     low, high = np.quantile(ratio, [0.05, 0.95], axis=0)
     mean = ratio.mean(axis=0)
@@ -114,6 +110,8 @@ def load_cell_figure(results: Results, data: Data) -> Figure:
         readings, values, errors = measured[cell.name]
         panel_x = [results.mass_unit[0] * (r["mass_drawn"] or 0.0) for r in readings]
         measured_points(panel, results, readings, panel_x, values, values - errors, values + errors)
+        panel.cursor(mass[list(times)])
+        panel.notes = [_ratio_words(mean[t, i], low[t, i], high[t, i]) for t in times]
         panel.axes.set(ylim=(0, 1.08 * top), xlim=(-0.02 * mass[-1], 1.02 * mass[-1]))
         panels.append(panel)
     caption = parts(
@@ -127,6 +125,12 @@ def load_cell_figure(results: Results, data: Data) -> Figure:
         results.words_of_shown,
     )
     return Figure("load_cells", "Stress on the load cells during draw", caption, panels)
+
+
+def _ratio_words(mean: float, low: float, high: float) -> str:
+    if not np.isfinite(mean):
+        return "no ground"
+    return f"σᵥ/σᵥ₀ {mean:.2f}, 5–95 %: {low:.2f} to {high:.2f}"
 
 
 def base_map_figure(results: Results, data: Data) -> Figure:
@@ -199,11 +203,6 @@ def mass_drawn_words(results: Results, t: int) -> str:
     return f"{results.drawn[t]:.4g} {results.mass_unit[1]} drawn"
 
 
-def areas_of(areas) -> list[Area]:
-    """Drawpoints or load cells as a plan takes them."""
-    return [(area.name, area.x, area.y, area.width, area.length) for area in areas]
-
-
 def assumed_words(results: Results) -> str:
     """In brackets, which of drawpoints and load cells are assumed; empty where none is."""
     assumed = [key for key in ("drawpoints", "load_cells") if key in results.experiment.assumed]
@@ -261,22 +260,49 @@ def shown_readings(results: Results) -> list[int]:
 
 
 def stress_section_figure(results: Results, data: Data) -> Figure:
-    """x-z sections of the mean vertical stress at a few masses drawn (Figs 12, 15 and 17)."""
-    times = shown_readings(results)
-    sections = [results.section("vertical_stress_mean", t) for t in times]
+    """Mean vertical stress at a few masses drawn (Figs 12, 15 and 17): x-z sections and, where
+    the load cells have no map of their own, plans of the base.
+    """
+    times, name = shown_readings(results), "vertical_stress_mean"
+    x, y, z = (results.fields[axis].values for axis in "xyz")
+    sections = [results.section(name, t) for t in times]
     high = float(max(np.nanmax(section) for section in sections))
+    scale = "mean stress (kPa)", 0.0, high
     panels = []
     for t, section in zip(times, sections, strict=True):
         peak = f"stress up to {np.nanmax(section):.3g} kPa"
         panel = _section_panel(results, data, "stress_sections", t, peak)
-        x, z = results.fields["x"].values, results.fields["z"].values
-        panel.image(x, z, section, "mean stress (kPa)", 0.0, high)
+        panel.image(x, z, section, *scale, stored=results.section_in_file(name, t))
         zone = results.section("movement_zone_probability", t)
         panel.outline("edge of the movement zone (in half of the replicates)", x, z, zone, 0.5)
-        _mark_base(panel, results)
+        mark_base(panel, results)
+        panels.append(panel)
+    for t in times if not results.has_many_load_cells else ():
+        base = results.base(name, t)
+        mass = mass_drawn_words(results, t)
+        panel = Panel(
+            data,
+            "stress_sections",
+            f"Base, {mass}",
+            "x (m)",
+            "y (m)",
+            f"Plan of the base at {mass}: {stress_range(base)}.",
+            section_size(x[-1] + x[0], y[-1] + y[0], (2.3, 2.0)),
+            bar=True,
+        )
+        panel.image(x, y, base, *scale, stored=results.base_in_file(name, t))
         panels.append(panel)
     caption = _section_caption(results, data, "stress_sections", "Mean vertical stress")
+    if not results.has_many_load_cells:
+        caption += " Below them the lowest level of cells in plan."
     return Figure("stress_sections", "Vertical stress during draw", caption, panels)
+
+
+def stress_range(values: np.ndarray) -> str:
+    """Lowest and highest stress (kPa) of a field in words."""
+    if not np.isfinite(values).any():
+        return "no material"
+    return f"stress from {np.nanmin(values):.3g} to {np.nanmax(values):.3g} kPa"
 
 
 def zone_section_figure(results: Results, data: Data) -> Figure:
@@ -288,8 +314,11 @@ def zone_section_figure(results: Results, data: Data) -> Figure:
         reach = z[np.nanmax(zone, axis=1) >= 0.5]
         words = f"movement zone up to {reach.max():.2f} m" if len(reach) else "no movement zone"
         panel = _section_panel(results, data, "zone_sections", t, words)
-        panel.image(x, z, zone, "probability (–)", 0.0, 1.0, SHARE_COLORS)
-        _mark_base(panel, results)
+        panel.image(
+            x, z, zone, "probability (–)", 0.0, 1.0, SHARE_COLORS,
+            results.section_in_file("movement_zone_probability", t),
+        )  # fmt: skip
+        mark_base(panel, results)
         panels.append(panel)
     caption = _section_caption(
         results, data, "zone_sections", "Share of replicates in which the place moves or has moved"
@@ -312,7 +341,8 @@ def _section_panel(results: Results, data: Data, figure: str, t: int, words: str
     )
 
 
-def _mark_base(panel: Panel, results: Results) -> None:
+def mark_base(panel: Panel, results: Results) -> None:
+    """Drawpoints and load cells under the base of a section."""
     panel.base_marks("drawpoint", results.experiment.drawpoints, INK, 0)
     if results.experiment.load_cells:
         panel.base_marks("load cell", results.load_cells, ORANGE, 1)
@@ -387,10 +417,12 @@ def e_min_figure(results: Results, data: Data) -> Figure:
     fitted = results.calibration["parameters"].get("E_min", {}).get("calibrated", False)
     caption = parts(
         "E_min is the share of its load that a cell of a movement zone passes on, set by the "
-        "height of that zone; ground at rest passes on E = {}. {}. The zones reach {} m.",
+        "height of that zone; ground at rest passes on E = {}. {}. The zones reach {} m, mean "
+        "over n = {} replicates.",
         data.number("E_min", "", "E", p.E),
         "Its level was calibrated here" if fitted else "It was not calibrated here",
         data.number("E_min", "", "height reached", reached, 2, "m"),
+        data.number("E_min", "", "replicates", results.count),
     )
     return Figure("E_min", "Load passed on by flowing ground", caption, [panel])
 
@@ -418,7 +450,7 @@ def extraction_figure(results: Results, data: Data) -> Figure:
         bar=True,
     )
     panel.image(x, z, share, "probability of being drawn (–)", 0.0, 1.0, SHARE_COLORS)
-    _mark_base(panel, results)
+    mark_base(panel, results)
     caption = parts(
         "Extraction zone: the share of n = {} replicates in which the ground that lay here before "
         "draw has come out of a drawpoint, x–z section at y = {} m.",

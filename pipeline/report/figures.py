@@ -6,10 +6,11 @@ the same figure reads on a light and on a dark page; text stays text.
 
 from __future__ import annotations
 
+import base64
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from io import StringIO
+from io import BytesIO, StringIO
 
 import matplotlib
 import numpy as np
@@ -17,6 +18,7 @@ from markupsafe import Markup, escape
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as MplFigure
 from matplotlib.patches import Rectangle
+from PIL import Image
 
 from pipeline.report.page import Data
 
@@ -37,6 +39,7 @@ STRESS_COLORS, SPREAD_COLORS, SHARE_COLORS = "viridis", "cividis", "cividis"
 DIFFERENCE_COLORS = "RdBu_r"  # from the negative to the positive of a scale about 0
 PIXELS_PER_INCH = 96
 MOST_PIXELS = 20_000  # an image with more cells is shown in block means
+PALETTE = 255  # colors of a scale; one more is for blank cells
 _STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "panel",
@@ -63,6 +66,7 @@ _STYLE = {
     "figure.facecolor": "none",
     "lines.linewidth": 1.6,
     "image.interpolation": "none",
+    "image.composite_image": False,
 }
 
 
@@ -88,9 +92,13 @@ class Panel:
     upright : draw x on the vertical axis, increasing downwards (a depth)
     bar : leave room for a color bar
     left : margin for the labels of the vertical axis, inches
+
+    What is drawn with a `frame` shows one reading of a draw: on the page a slider chooses the
+    frame, and the last one stands there without it. `notes` has a line of words for each frame.
     """
 
     LEFT, RIGHT, BOTTOM, TOP = 0.66, 0.2, 0.52, 0.14  # margins, inches
+    BAR = 0.96  # right margin with a color bar and its labels
 
     def __init__(
         self,
@@ -107,16 +115,17 @@ class Panel:
     ):
         self.title, self.alt = title, alt
         self.legend: dict[str, Markup] = {}
+        self.notes: list[str] = []
         self._data, self._figure, self._x, self._y = data, figure, x, y
         self._upright = upright
-        right = 0.82 if bar else self.RIGHT
+        right = self.BAR if bar else self.RIGHT
         self._width, self._height = left + size[0] + right, self.BOTTOM + size[1] + self.TOP
         self._left, self._size = left, size
         self._mpl = MplFigure(figsize=(self._width, self._height))
         FigureCanvasSVG(self._mpl)
         self.axes = self._mpl.add_axes(self._box(left, size[0]))
         self.axes.set(xlabel=y if upright else x, ylabel=x if upright else y)
-        self.axes.locator_params(axis="x", nbins=max(1, int(size[0] / 0.42)))
+        self.axes.locator_params(axis="x", nbins=max(1, int(size[0] / 0.42)), min_n_ticks=1)
         self.axes.locator_params(axis="y", nbins=max(2, int(size[1] / 0.36)))
         if upright:
             self.axes.invert_yaxis()
@@ -221,26 +230,53 @@ class Panel:
         self.axes.axvspan(low, high, color=color, alpha=0.14, linewidth=0)
         self.legend[label] = _band_swatch(color)
 
-    def image(self, x, y, values, name, low, high, colors=STRESS_COLORS) -> None:
-        """Cells (y, x) in color, at centers `x` and `y`, with a color bar; NaN stays blank."""
+    def image(
+        self, x, y, values, name, low, high, colors=STRESS_COLORS, stored="", frame=None
+    ) -> None:
+        """Cells (y, x) in color, at centers `x` and `y`, with a color bar; NaN stays blank.
+
+        `stored` says which file, variable and indices hold the cells: the data then have their
+        range in place of each.
+        """
+        known = np.asarray(values)[np.isfinite(values)]
         x, y, values = block_means(x, y, values)
-        for height, row in zip(y, values, strict=True):
-            series = f"{self._y.split(' (')[0]} = {height:.6g} m"
-            self._data.add(self._figure, self.title, series, self._x, x, name, np.round(row, 7))
-        colormap = matplotlib.colormaps[colors].with_extremes(bad=(0, 0, 0, 0))
+        if stored:
+            ends = [known.min(), known.max()] if known.size else [np.nan, np.nan]
+            self._data.add(
+                self._figure,
+                self.title,
+                stored,
+                self._x,
+                None,
+                name,
+                [np.nan],
+                *([end] for end in ends),
+            )
+        else:
+            for height, row in zip(y, values, strict=True):
+                series = f"{self._y.split(' (')[0]} = {height:.6g} m"
+                self._data.add(self._figure, self.title, series, self._x, x, name, np.round(row, 7))
+        colormap = matplotlib.colormaps[colors].resampled(PALETTE)
         x0, x1 = _ends(x)
         y0, y1 = _ends(y)
-        self.axes.imshow(
+        shown = self.axes.imshow(
             np.asarray(values, dtype=np.float64),
             origin="lower",
             extent=(x0, x1, y0, y1),
             aspect="auto",
             vmin=low,
             vmax=high,
-            cmap=colormap,
+            cmap=colormap.with_extremes(bad=(0, 0, 0, 0)),
         )
+        _mark(shown, frame)
         self.axes.grid(False)
-        self.color_bar(name, low, high, colors)
+        if not frame:
+            self.color_bar(name, low, high, colors)
+
+    def cursor(self, x) -> None:
+        """An upright line in each frame, at `x` of the horizontal axis."""
+        for frame, at in enumerate(x):
+            _mark(self.axes.axvline(at, color=INK, linewidth=1.3), frame)
 
     def shaded_areas(self, areas, values, name, low, high, colors=STRESS_COLORS) -> None:
         """Rectangles of a plan filled by `values` on the scale from `low` to `high`, `name`.
@@ -257,16 +293,23 @@ class Panel:
         self.axes.grid(False)
         self.color_bar(name, low, high, colors)
 
-    def outlined_areas(self, label, areas, color=INK) -> None:
-        """Outlines of the rectangles of a plan, (name, x, y, width, length) in m."""
+    def outlined_areas(self, label, areas, dash="solid") -> None:
+        """Outlines of the rectangles of a plan, (name, x, y, width, length) in m.
+
+        White on black, so that they stand out on every color of an image and on either page.
+        """
         for area, x, y, width, length in areas:
             self._data.add(self._figure, self.title, label, self._x, [x], f"y of {area} (m)", [y])
             corner = (x - width / 2, y - length / 2)
-            self.axes.add_patch(
-                Rectangle(corner, width, length, fill=False, edgecolor=color, linewidth=0.7)
-            )
-        stroke = f'stroke="var(--{_VARIABLES[color]})"'
-        self.legend[label] = _swatch(f'<rect x="8" y="1" width="10" height="10" {stroke}/>')
+            for color, thick, dashes in (("black", 1.8, "solid"), ("white", 0.8, dash)):
+                line = (0, _dashes(dashes)) if DASHES[dashes] else "solid"
+                style = {"edgecolor": color, "linewidth": thick, "linestyle": line}
+                self.axes.add_patch(Rectangle(corner, width, length, fill=False, **style))
+        square = '<rect x="8" y="1" width="10" height="10" stroke="{}" stroke-width="{}"{}/>'
+        dashed = f' stroke-dasharray="{DASHES[dash]}"' if DASHES[dash] else ""
+        self.legend[label] = _swatch(
+            square.format("black", 3, "") + square.format("white", 1.3, dashed)
+        )
 
     def color_bar(self, name, low, high, colors=STRESS_COLORS) -> None:
         """The scale of an image or of shaded points, at the right."""
@@ -285,13 +328,13 @@ class Panel:
         bar.yaxis.set_label_position("right")
         bar.set_ylabel(name)
 
-    def outline(self, label, x, y, values, level) -> None:
+    def outline(self, label, x, y, values, level, frame=None) -> None:
         """The contour of `values` (y, x) at `level`, over an image."""
         x, y, values = block_means(x, y, values)
         if min(values.shape) < 2 or not np.nanmin(values) < level < np.nanmax(values):
             return
         for color, width in (("black", 2.2), ("white", 1.1)):
-            self.axes.contour(x, y, values, [level], colors=color, linewidths=width)
+            _mark(self.axes.contour(x, y, values, [level], colors=color, linewidths=width), frame)
         self.legend[label] = _swatch(
             '<path d="M0 6H26" stroke="black" stroke-width="4"/>'
             '<path d="M0 6H26" stroke="white" stroke-width="2"/>'
@@ -323,6 +366,13 @@ class Panel:
         svg = text.getvalue()
         svg = svg[svg.index("<svg") :]
         svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", svg, flags=re.DOTALL)
+        svg = re.sub(r"(?<=data:image/png;base64,)[^\"]+", _with_palette, svg)
+        frames = [int(n) for n in re.findall(r' id="frame-(\d+)"', svg)]
+        svg = re.sub(
+            r' id="frame-(\d+)"',
+            lambda m: f' data-frame="{m[1]}"' + ' hidden=""' * (int(m[1]) < max(frames)),
+            svg,
+        )
         name = re.sub(r"\W+", "-", f"{self._figure}-{self.title}")
         svg = re.sub(
             r' id="(?:figure|axes|patch|line2d|text|matplotlib|xtick|ytick|'
@@ -342,6 +392,24 @@ class Panel:
             'xmlns:xlink="http://www.w3.org/1999/xlink">'
         )
         return Markup(re.sub(r"<svg[^>]*>", lambda _: opening, svg, count=1))
+
+
+def _mark(artist, frame: int | None) -> None:
+    if frame is not None:
+        artist.set_gid(f"frame-{frame}")
+
+
+def _with_palette(encoded: re.Match) -> str:
+    """A PNG in base64 with a palette, where it has few enough colors: a third of its size."""
+    pixels = np.asarray(Image.open(BytesIO(base64.b64decode(encoded[0]))).convert("RGBA"))
+    colors, index = np.unique(pixels.reshape(-1, 4), axis=0, return_inverse=True)
+    if len(colors) > PALETTE + 1:
+        return encoded[0]
+    image = Image.fromarray(index.reshape(pixels.shape[:2]).astype(np.uint8), "P")
+    image.putpalette(colors[:, :3].tobytes())
+    out = BytesIO()
+    image.save(out, "PNG", optimize=True, transparency=colors[:, 3].tobytes())
+    return base64.b64encode(out.getvalue()).decode()
 
 
 def section_size(width: float, height: float, largest=(2.9, 2.5)) -> tuple[float, float]:

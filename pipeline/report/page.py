@@ -158,6 +158,11 @@ class Table:
         self.rows.append([name, *(self.number(name, column, *number) for column, number in cells)])
 
     @property
+    def has_data(self) -> bool:
+        """Whether the data have any number of it."""
+        return any(row[0] == self.name for row in self.data.rows)
+
+    @property
     def heads(self) -> list[tuple[str, list[str]]]:
         """(group, names of its columns), in order; the group is empty for a column of its own."""
         heads: list[tuple[str, list[str]]] = []
@@ -220,6 +225,13 @@ def _environment() -> Environment:
 
 
 def render(template: str, **context: Any) -> str:
-    """HTML of a page: `template` in this folder, with the style sheet inside."""
-    style = Markup(files(__package__).joinpath("style.css").read_text("utf-8"))
-    return _environment().get_template(template).render(style=style, **context)
+    """HTML of a page: `template` in this folder, with the style sheet inside.
+
+    `context` has `numbers`, the file that holds the page's numbers, relative to the page.
+    """
+    return _environment().get_template(template).render(style=resource("style.css"), **context)
+
+
+def resource(name: str) -> Markup:
+    """Text of a file in this folder, for a page as it is."""
+    return Markup(files(__package__).joinpath(name).read_text("utf-8"))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pipeline.config.experiment import BaseArea
 from pipeline.report.figures import STRESS_COLORS, Panel, section_size
 from pipeline.report.page import Data
 
@@ -53,6 +54,11 @@ def plan(
         panel.outlined_areas("drawpoint", drawpoints)
     panel.axes.set(xlim=(0, extent[0]), ylim=(0, extent[1]))
     return panel
+
+
+def areas_of(areas: Sequence[BaseArea]) -> list[Area]:
+    """Drawpoints or load cells as a plan takes them."""
+    return [(area.name, area.x, area.y, area.width, area.length) for area in areas]
 
 
 def evenly(count: int, most: int) -> list[int]:

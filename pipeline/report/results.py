@@ -126,6 +126,18 @@ class Results:
         """A field on (z, x) at `section_row`."""
         return self.fields[name].isel(time=time, y=self.section_row).values
 
+    def section_in_file(self, name: str, time: int) -> str:
+        """Where the cells of `section` stand, for the data beside the page."""
+        return f"fields.nc: {name}[time={time}, y={self.section_row}]"
+
+    def base(self, name: str, time: int) -> np.ndarray:
+        """A field on (y, x) in the lowest level of cells."""
+        return self.fields[name].isel(time=time, z=0).values
+
+    def base_in_file(self, name: str, time: int) -> str:
+        """Where the cells of `base` stand, likewise."""
+        return f"fields.nc: {name}[time={time}, z=0]"
+
     def readings(self, quantity: str, load_cell: str | None = None) -> list[Mapping[str, Any]]:
         """Measured values of a quantity at a load cell (None: of the whole base) beside ours."""
         return [

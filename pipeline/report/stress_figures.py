@@ -15,11 +15,13 @@ from pipeline.report.figures import (
     MUTED,
     ORANGE,
     SPREAD_COLORS,
+    STRESS_COLORS,
     Panel,
     section_size,
 )
 from pipeline.report.page import Data, Figure, parts
 from pipeline.report.results import Results
+from pipeline.sensitivity.footprints import FOOTPRINT_REPLICATES
 from pipeline.simulate import KPA
 
 STRESS = "vertical stress (kPa)"
@@ -44,13 +46,13 @@ def section_figure(results: Results, data: Data) -> Figure:
     x, y, z = (fields[axis].values for axis in "xyz")
     width, length, height = x[-1] + x[0], y[-1] + y[0], z[-1] + z[0]
     views = [("section", "height z (m)", z, results.section, section_size(width, height))]
-    base = lambda name, time: fields[name].isel(time=time, z=0).values  # noqa: E731
-    views.append(("base", "y (m)", y, base, section_size(width, length, (2.1, 2.1))))
+    size = section_size(width, length, (2.1, 2.1))
+    views.append(("base", "y (m)", y, results.base, size))
     panels = []
     for view, vertical, centers, values_of, size in views:
-        for name, words, colors in (
-            ("vertical_stress_mean", "mean", "viridis"),
-            ("vertical_stress_std", "sd", SPREAD_COLORS),
+        for name, words, words_of_scale, colors in (
+            ("vertical_stress_mean", "mean", "mean stress", STRESS_COLORS),
+            ("vertical_stress_std", "sd", "sd of stress", SPREAD_COLORS),
         ):
             values = values_of(name, time)
             if not np.isfinite(values).any():
@@ -68,7 +70,9 @@ def section_figure(results: Results, data: Data) -> Figure:
                 size,
                 bar=True,
             )
-            panel.image(x, centers, values, f"{words} of stress (kPa)", 0.0, high or 1.0, colors)
+            in_file = results.section_in_file if view == "section" else results.base_in_file
+            scale = f"{words_of_scale} (kPa)", 0.0, high or 1.0, colors
+            panel.image(x, centers, values, *scale, in_file(name, time))
             panels.append(panel)
     one = one_packing(results, data)
     caption = parts(
@@ -103,7 +107,8 @@ def one_packing(results: Results, data: Data) -> list[Panel]:
         section_size(x[-1] + x[0], z[-1] + z[0]),
         bar=True,
     )
-    panel.image(x, z, values, STRESS, 0.0, high or 1.0)
+    stored = results.section_in_file("vertical_stress_first", results.at_rest)
+    panel.image(x, z, values, STRESS, 0.0, high or 1.0, stored=stored)
     return [panel]
 
 
@@ -126,12 +131,17 @@ def footprint_figure(results: Results, data: Data) -> Figure:
             section_size(x[-1] + x[0], z[-1] + z[0]),
             bar=True,
         )
-        panel.image(x, z, share, "share of the reading (%)", 0.0, high or 1.0, SPREAD_COLORS)
+        stored = f"replicates.nc: load_cell_footprint[load_cell={i}]"
+        scale = "share of the reading (%)", 0.0, high or 1.0, SPREAD_COLORS
+        panel.image(x, z, share, *scale, stored)
         panels.append(panel)
     caption = parts(
         "Each place's own weight adds its share to the reading{}; the shares of a load cell add "
-        "up to 100 %. Summed over y, averaged over the first replicates.{}",
+        "up to 100 %. Summed over y, averaged over the first n = {} replicates.{}",
         " before anything is drawn" if results.experiment.is_draw else " when full",
+        data.number(
+            "footprints", "", "replicates", min(FOOTPRINT_REPLICATES, results.experiment.replicates)
+        ),
         results.words_of_shown,
     )
     return Figure("footprints", "Where each load cell's stress comes from", caption, panels)

@@ -66,9 +66,11 @@ def one_to_one_figure(residual: xr.Dataset, label: str, data: Data) -> Figure:
                 panel.points(name, simulated[own], y, y - error, y + error, color, marker)
         panels.append(panel)
     caption = parts(
-        "The {} values that the study calibrates on, over the calibrated baseline with nothing "
-        "added. Bars: ± 1 sd of a reading about the model, packing and instrument together.",
+        "The {} values that the study calibrates on (n = {}), over the calibrated baseline with "
+        "nothing added. Bars: ± 1 sd of a reading about the model, packing and instrument "
+        "together.",
         label,
+        data.number("one_to_one", "", "values", len(quantities)),
     )
     return Figure("one_to_one", "Data over the calibrated baseline", caption, panels)
 
@@ -80,10 +82,11 @@ def standardized_figure(residual: xr.Dataset, label: str, data: Data) -> Figure 
     if not panels:
         return None
     caption = parts(
-        "Data ({}) less the calibrated baseline, of logarithms where a quantity is positive, in "
-        "standard deviations of a reading about the model. Scatter without a pattern and within "
-        "{} sd is what a model that lacks nothing leaves.",
+        "Data ({}, n = {}) less the calibrated baseline, of logarithms where a quantity is "
+        "positive, in standard deviations of a reading about the model. Scatter without a pattern "
+        "and within {} sd is what a model that lacks nothing leaves.",
         label,
+        data.number("standardized", "", "values", len(values)),
         data.number("standardized", "", "threshold", THRESHOLD_SD, 0, "sd"),
     )
     return Figure("standardized", "Where the baseline is off", caption, panels)
@@ -201,7 +204,11 @@ def posterior_figures(found: Mapping[str, Any], data: Data) -> list[Figure]:
                 panel.bars(words, [probability[name] for name in of], of, color)
         panel.reference(f"from here one name is added ({SURE:g})", x=SURE)
         panel.axes.set_xlim(0, 1)
-        caption = "Hypotheses pooled by name; names with no evidence at all are in the table."
+        caption = parts(
+            "Hypotheses pooled by name, given n = {} values; names with no evidence at all are in "
+            "the table. Probabilities of all that could be missing, and of nothing, add up to 1.",
+            data.number(figure, "", "values", found["degrees_of_freedom"]["readings"]),
+        )
         title = f"Round {number}: what is missing?"
         figures.append(Figure(figure, title, caption, [panel]))
     return figures
@@ -226,7 +233,10 @@ def held_out_figure(rows: Sequence[Mapping[str, Any]], label: str, data: Data) -
             )
         panels.append(panel)
     caption = parts(
-        "The {} values that were held out, over what the model predicts without them.", label
+        "The {} values that were held out (n = {}), over what the model predicts without them. "
+        "No bars: the table of errors has their scatter.",
+        label,
+        data.number("held_out", "", "values", len(rows)),
     )
     return Figure("held_out", "Held-out predictions", caption, panels)
 
@@ -255,7 +265,11 @@ def fold_figure(folds: Sequence[Mapping[str, Any]], data: Data) -> Figure | None
     panel.dots("before", before, errors, ORANGE, "s", False)
     panel.dots("after", after, errors, BLUE)
     panel.axes.set_xlim(0, None)
-    caption = "Each by the model that a loop without it came to."
+    caption = parts(
+        "n = {} parts that were held out, each predicted by the model that a loop without it came "
+        "to; how many values each has is in the table.",
+        data.number("folds", "", "parts", len(errors)),
+    )
     return Figure("folds", "Error of each held-out part", caption, [panel])
 
 

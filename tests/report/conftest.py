@@ -1,7 +1,10 @@
 """Pages of tiny experiments."""
 
+from pathlib import Path
+
 import pytest
 from comparisons import MadeComparison, make_comparison
+from other_pages import make_blind, make_catalogue, make_index
 from pages import Made, row
 from pages import make_page as make_page_in
 from studies import MadeStudy, closed_loop, make_study
@@ -74,3 +77,21 @@ def pillars(drawn, make_page) -> Made:
         for i in range(6)
     ]
     return make_page(drawn("pillars", load_cells=cells, assumed=["load_cells"], replicates=3))
+
+
+@pytest.fixture(scope="session")
+def blind(tmp_path_factory) -> Path:
+    """Page of a blind benchmark with every outcome that has a place on it."""
+    return make_blind(tmp_path_factory.mktemp("blind_benchmark"))
+
+
+@pytest.fixture(scope="session")
+def catalogue(tmp_path_factory) -> Path:
+    """Page of all effects."""
+    return make_catalogue(tmp_path_factory.mktemp("effects"))
+
+
+@pytest.fixture(scope="session")
+def index(tmp_path_factory, static, draw, study, comparison, blind) -> Path:
+    """The index of an experiment, a draw, a study, a comparison and a blind benchmark."""
+    return make_index(tmp_path_factory.mktemp("index"), [static, draw], study, comparison, blind)

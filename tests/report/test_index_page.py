@@ -65,6 +65,25 @@ def test_each_experiment_is_linked_with_its_verdict(index, static, draw, tmp_pat
     assert "not reproduced" in html
 
 
+def test_experiments_stand_at_a_glance_by_whether_they_agree(index, static, draw, unmeasured):
+    html, numbers = index(static, draw, unmeasured)
+    glance = html.split('<ul class="glance">')[1].split("</ul>")[0]
+    groups = {}
+    for row in re.findall(r"<li>.*?</li>", glance):
+        outcome = re.search(r'class="badge \w+">([^<]*)<', row)[1]
+        groups[outcome] = re.findall(r'<a href="([^"]*)"', row)
+    for entry in numbers["experiments"]:
+        found = entry["agreement"]["calibrated"] or entry["agreement"]["as_declared"]
+        if found is None:
+            outcome = "no data"
+        elif not found["agrees"]:
+            outcome = "disagrees"
+        else:  # every value of the static experiment is in its calibration, none of the draw's
+            outcome = "fitted" if entry["experiment"] == static.experiment.name else "agrees"
+        assert entry["report"] in groups[outcome]
+    assert sum(map(len, groups.values())) == 3
+
+
 def test_the_figures_have_alternative_text(index, static, draw):
     html, _ = index(static, draw)
     assert set(re.findall(r'<figure id="figure-(\w+)"', html)) == {
@@ -84,6 +103,14 @@ def test_errors_tell_fitted_values_from_others(index, static, draw):
     declared = [row for row in numbers["data"]
                 if row["figure"] == "errors" and row["series"] == "as declared"]  # fmt: skip
     assert len(declared) == 3 + 5
+
+
+def test_what_a_user_writes_is_text(index, column, make_page):
+    evil = "<script>alert(1)</script>"
+    made = make_page(column(title=evil, source=evil, material={"name": evil}))
+    html, _ = index(made)
+    assert "<script" not in html
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in html
 
 
 def test_the_same_results_give_the_same_bytes(index, static, draw):

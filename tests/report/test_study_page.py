@@ -20,7 +20,7 @@ from studies import (
 from pipeline.effects import effects
 from pipeline.files.atomic import read_json
 from pipeline.report.index import write_index
-from pipeline.report.study import VERDICTS, label_of, listed
+from pipeline.report.study_words import VERDICTS, label_of, listed
 
 SAYS = {
     "no_effect_detectable": "nothing that the model lacks",
