@@ -76,7 +76,7 @@ def test_what_ranks_stand_for_is_a_normal_distribution_but_for_its_tails():
     assert np.max(np.abs(stats.norm.cdf(z) - ours)) <= 1 / RANKS
 
 
-@pytest.mark.parametrize("s_mean, s_std", [(4.0, 3.0), (0.0, 1.0), (8.0, 0.5)])
+@pytest.mark.parametrize(("s_mean", "s_std"), [(4.0, 3.0), (0.0, 1.0), (8.0, 0.5)])
 @pytest.mark.parametrize("rule", ["inverse_distance", "multinomial"])
 def test_mean_shares_are_those_of_the_exact_distribution(s_mean, s_std, rule):
     """E[β] and E[β²] of each ring, by Gauss-Hermite quadrature, to 2e-4 of β."""
