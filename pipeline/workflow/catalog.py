@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 
 import yaml
@@ -19,10 +17,9 @@ from pipeline.config.load import (
     sources,
 )
 from pipeline.config.messages import ConfigError, did_you_mean
+from pipeline.workflow.source import PACKAGE, digest_with_imports, sha256
 
-PACKAGE = Path(__file__).parents[1]
 DEFAULTS = PACKAGE.parent / "workflow_configs" / "default.yaml"
-CODE = (".py", ".pyc", ".smk")
 OWN = {
     "experiments_dir": "workflow_configs/experiments",
     "studies_dir": "workflow_configs/studies",
@@ -48,6 +45,7 @@ class Catalog:
         check_settings(config)
         self.results = str(config["results_dir"]).rstrip("/")
         self._on_cluster = bool(config["dask_scheduler"])
+        self._settings: dict[str, str] = {}
         own = {key: str(config[key]).rstrip("/") == folder for key, folder in OWN.items()}
         self._known = load_experiments(Path(str(config["experiments_dir"])))
         found: list[tuple[Path, str]] = []
@@ -82,17 +80,22 @@ class Catalog:
 
         Its files are the YAML, the measured rows and the mask.
         """
+        if name not in self._settings:
+            self._settings[name] = self._read_settings(name)
+        return self._settings[name]
+
+    def _read_settings(self, name: str) -> str:
         experiment = self.experiments[name]
         parts = [digest(experiment), repr([_said(row) for row in check_measured(experiment)])]
         parts.append(self.effects(name))
         if experiment.mask_path is not None:
             parts.append(hashlib.sha256(experiment.mask_path.read_bytes()).hexdigest())
-        return _sha256("".join(parts))
+        return sha256("".join(parts))
 
     def effects(self, name: str) -> str:
         """Digest of the code of the effects that an experiment declares."""
         modules = [PACKAGE / "effects" / f"{e}.py" for e in self.experiments[name].effects]
-        return "".join(_digest_with_imports(module) for module in modules)
+        return "".join(digest_with_imports(module) for module in modules)
 
     def blind_scores(self) -> list[str]:
         """Path of a blind benchmark's `scores.json` and its digest; nothing where none was run."""
@@ -118,7 +121,7 @@ class Catalog:
         parts = [digest(study), *(self.settings(one) for one in self._chain(name))]
         if study.data_path is not None:
             parts.append(hashlib.sha256(study.data_path.read_bytes()).hexdigest())
-        return _sha256("".join(parts))
+        return sha256("".join(parts))
 
     def comparison_file(self, name: str) -> str:
         """Path of the comparison's file."""
@@ -137,7 +140,7 @@ class Catalog:
         """Digest of what the comparison's file and its experiments' files say."""
         comparison = self.comparisons[name]
         parts = [digest(comparison), *(self.settings(one) for one in comparison.experiments)]
-        return _sha256("".join(parts))
+        return sha256("".join(parts))
 
     def _chain(self, name: str) -> list[str]:
         named = self.studies[name].experiments
@@ -177,15 +180,6 @@ def _said(row) -> tuple:
     return tuple(value for key, value in vars(row).items() if key != "line")
 
 
-@cache
-def source_digest(script: str) -> str:
-    """Digest of the code that a rule's script runs: itself and all of `pipeline` it imports.
-
-    Comments and layout do not count; data files beside a module do.
-    """
-    return _digest_with_imports(PACKAGE / "workflow" / "scripts" / f"{script}.py")
-
-
 def blind_seed(config: Mapping[str, object]) -> int:
     """Seed of the blind benchmark's worlds: the one given, or that of the commit under test."""
     if config["blind_seed"] is not None:
@@ -194,54 +188,3 @@ def blind_seed(config: Mapping[str, object]) -> int:
     from pipeline.files.netcdf import git_revision
 
     return scoring_seed(git_revision())
-
-
-def effects_digest() -> str:
-    """Digest of all effects: they are found by being in their folder, not by an import."""
-    modules = sorted((PACKAGE / "effects").glob("*.py"))
-    return _sha256("".join(f"{m.name}{_digest_with_imports(m)}" for m in modules))
-
-
-@cache
-def _digest_with_imports(path: Path) -> str:
-    seen: dict[Path, str] = {}
-    todo = [path]
-    while todo:
-        path = todo.pop()
-        if path not in seen:
-            seen[path], imported = _read_module(path)
-            todo += imported
-    return _sha256("".join(f"{path.name}{seen[path]}" for path in sorted(seen)))
-
-
-@cache
-def _read_module(path: Path) -> tuple[str, list[Path]]:
-    """Digest of a module with the data files beside it, and the modules here that it imports."""
-    tree = ast.parse(path.read_text("utf-8"))
-    data = sorted(f for f in path.parent.iterdir() if f.is_file() and f.suffix not in CODE)
-    digest = _sha256(ast.dump(tree) + "".join(_sha256(f.read_text("utf-8")) for f in data))
-    imported = []
-    for node in ast.walk(tree):
-        names = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        imported += [target for name in names if (target := _path_of(name)) is not None]
-    return digest, imported
-
-
-def _path_of(module: str) -> Path | None:
-    """Source file of a module of this package; None for anything else."""
-    head, *rest = module.split(".")
-    if head != PACKAGE.name:
-        return None
-    path = PACKAGE.joinpath(*rest)
-    for candidate in (path.with_suffix(".py"), path / "__init__.py"):
-        if candidate.is_file():
-            return candidate
-    return None
-
-
-def _sha256(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()

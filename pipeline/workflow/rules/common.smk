@@ -1,7 +1,8 @@
 from snakemake.exceptions import WorkflowError
 
 from pipeline.config.messages import ConfigError
-from pipeline.workflow.catalog import Catalog, blind_seed, effects_digest, source_digest
+from pipeline.workflow.catalog import Catalog, blind_seed
+from pipeline.workflow.source import effects_digest, source_digest
 
 try:
     CATALOG = Catalog(config)
