@@ -141,6 +141,7 @@ def calibrate(
     dict, the content of `calibration.json`: for each parameter `value`, `interval_90`, `unit`,
     `start`, `calibrated`, `at_bound` and `note`; `derived` has ℓ = c / (1 − E) and the Janssen K
     that it implies; `targets` each row with its simulated value and whether it was reached;
+    `posterior` the covariance of the fitted parameters in the coordinates of `SCALES`;
     `messages` what a reader must know; `parameters_used` all parameters of a run.
     """
     names = [ALIASES.get(name, name) for name in experiment.calibrate]
@@ -304,6 +305,11 @@ def _document(experiment, model, declared, parameters, fitted, idle):
         "parameters": entries,
         "derived": _derived(experiment, parameters, entries.get("E")),
         "correlation": {"parameters": names, "matrix": _correlation(covariance).tolist()},
+        "posterior": {
+            "parameters": names,
+            "coordinates": [SCALES[name].forward(parameters.value(name)) for name in names],
+            "covariance": covariance.tolist(),
+        },
         "targets": targets,
         "messages": messages,
         "common_random_replicates": model.count,

@@ -468,6 +468,18 @@ class StopAt(Strict):
     """Number of replicates to run in any case."""
 
 
+class Prediction(Strict):
+    """A prediction whose bands hold what is not known of the parameters and effects.
+
+    It takes the experiment's own calibration and that of ``stress.from``, or a study.
+    """
+
+    samples: whole("a whole number from 20 to 100000", ge=20, le=10**5) = 200
+    """Number of samples; each is simulated two or three times."""
+    study: FileStem | None = None
+    """In place of the calibration: the study whose parameters and added effects are taken."""
+
+
 class PublishedFact(Strict):
     """What was published of σ_v/σ_v0 in some load cells during draw, to be checked by sign."""
 
@@ -697,6 +709,8 @@ class Experiment(FromFile):
     """Number of replicates; with ``stop_at``, at most so many."""
     stop_at: StopAt | None = None
     """Precision at which fewer replicates are enough."""
+    prediction: Prediction | None = Field(None, exclude=True)
+    """Prediction with its uncertainty, on a page of its own; without it none is made."""
     seed: whole("a whole number from 0 to 2^63 - 1", ge=0, le=2**63 - 1) = 0
     """Root of all random numbers of this experiment."""
     measured: Annotated[str, Field(pattern=r"\.(csv|nc)$")] | None = None

@@ -420,6 +420,40 @@ def _broken_references(
                     yield experiment.path, f"{key}: missing here and in {start}; draw needs it"
 
 
+def prediction_problems(
+    experiment: Experiment, studies: Mapping[str, Study], experiments: Mapping[str, Experiment]
+) -> Iterator[tuple[Path, str]]:
+    """What is wrong with the study that an experiment's `prediction` names."""
+    name = experiment.prediction.study
+    if name is None:
+        return
+    where = f"prediction.study = {name}: "
+    if name not in studies:
+        hint = did_you_mean(name, studies, "known studies:")
+        hint = hint or "; this run has none, name their folder with --config studies_dir=DIR"
+        yield experiment.path, f"{where}no such study{hint}"
+        return
+    study = studies[name]
+    if experiment.name in study.experiments:
+        return
+    materials = {experiments[one].material.name for one in study.experiments if one in experiments}
+    for shared in study.parameters:
+        if shared.shared_by == "experiment":
+            yield (
+                experiment.path,
+                (
+                    f"{where}gives each of its experiments a value of {shared.name}, and this is "
+                    "none of them; share it by material or by study, or take the calibration"
+                ),
+            )
+        elif shared.shared_by == "material" and experiment.material.name not in materials:
+            hint = did_you_mean(experiment.material.name, sorted(materials), "its materials:")
+            yield (
+                experiment.path,
+                f"{where}knows no {shared.name} of material {experiment.material.name}{hint}",
+            )
+
+
 def study_problems(
     study: Study, experiments: Mapping[str, Experiment]
 ) -> Iterator[tuple[Path, str]]:

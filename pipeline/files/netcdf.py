@@ -34,9 +34,12 @@ STATISTICS = {  # suffix: (words, cell method over replicates)
     "p95": ("95th percentile over replicates", None),
 }
 AS_DECLARED, WITHOUT_ZONE = "_as_declared", "_without_zone"
+PACKING_ONLY, EFFECTS_IMPLIED = "_packing_only", "_effects_implied"
 VARIANTS = {  # suffix of readings of the same replicates with other parameters: words
     AS_DECLARED: "with the parameters as declared",
     WITHOUT_ZONE: "with R = 1 and E_min = E, the movement zone as stagnant ground",
+    PACKING_ONLY: "with parameters and effects at their best values",
+    EFFECTS_IMPLIED: "with parameters drawn, and effects as these imply",
 }
 
 

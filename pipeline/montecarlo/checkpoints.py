@@ -16,6 +16,7 @@ import zipfile
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -24,7 +25,6 @@ from pipeline.config.load import digest
 from pipeline.files.atomic import whole_file
 from pipeline.montecarlo.fields import FieldSums
 from pipeline.montecarlo.parts import Part
-from pipeline.parameters import Parameters
 from pipeline.simulate import Setup
 
 WRITING = 1e8  # bytes a second; what is computed sooner than written is not kept
@@ -46,12 +46,12 @@ class Checkpoints:
         self._shelves: list[Shelf] = []
 
     def shelf(
-        self, setup: Setup, parameters: Parameters, purposes: tuple[int, int], with_fields: bool
+        self, setup: Setup, parameters: Any, purposes: tuple[int, int], with_fields: bool
     ) -> Shelf:
-        """Where replicates of one set of parameters are kept."""
+        """Where replicates are kept; `parameters` is JSON-able data that decides theirs."""
         experiment = setup.experiment.model_copy(update=ANY_NUMBER)
         said = [self._code, experiment.name, digest(experiment)]
-        said += [parameters.to_document(), purposes, with_fields]
+        said += [parameters, purposes, with_fields]
         said += [setup.fill_levels, setup.true_levels, setup.masses]
         said += [np.__version__, numba.__version__]
         key = hashlib.sha256(json.dumps(said).encode())

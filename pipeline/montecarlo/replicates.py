@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -47,6 +48,15 @@ class Run:
     parameters: Parameters
     purposes: tuple[int, int] = (PACKING, FLOW)
     fields: bool = True
+
+    def of(self, replicate: int) -> tuple[Setup, Parameters]:
+        """Setup and parameters of a replicate: here the same for all."""
+        return self.setup, self.parameters
+
+    @property
+    def decided_by(self) -> Any:
+        """What decides the parameters of every replicate, as JSON-able data."""
+        return self.parameters.to_document()
 
     def seconds(self, count: int) -> float:
         """A guess at what `count` replicates take on one core, s."""
@@ -117,12 +127,32 @@ def run_experiment(
     return _dataset(setup, main.readings, others), main.sums.finalise()
 
 
+def run_each(
+    runs: Mapping[str, Run],
+    count: int,
+    execution: Execution = Execution(),
+    checkpoints: Checkpoints | None = None,
+) -> dict[str, list[Readings]]:
+    """Readings of the first `count` replicates of several runs of one setup, by the same names.
+
+    What `checkpoints` hold of them is not computed again.
+    """
+    found = {}
+    for name, run in runs.items():
+        with _crew_for(run, count, execution) as workers:
+            part = _run_on(run, count, None, workers, execution.chunk, f" {name}", checkpoints)
+        found[name] = unstack(part.readings)
+    if checkpoints is not None:
+        checkpoints.keep_only_whole()
+    return found
+
+
 def _run_on(run, most, stop_at, workers, chunk, suffix, checkpoints) -> Part:
     """Replicates of one set of parameters: `most`, or fewer where `stop_at` says so."""
     name = f"{run.setup.experiment.name}{suffix}"
     shelf = None
     if checkpoints is not None:
-        shelf = checkpoints.shelf(run.setup, run.parameters, run.purposes, run.fields)
+        shelf = checkpoints.shelf(run.setup, run.decided_by, run.purposes, run.fields)
     progress = Progress(name, most)
     collected = _found(shelf, most)
     progress.found(collected.count)
@@ -232,7 +262,7 @@ def run_part(run: Run, first: int, last: int) -> Part:
         observe = None
         if sums is not None:
             observe = sums.observe if replicate else sums.observe_first
-        replicates.append(simulate(run.setup, run.parameters, packing, flow, observe))
+        replicates.append(simulate(*run.of(replicate), packing, flow, observe))
     if sums is not None:
         sums.count, sums.setup = last - first, None
     return Part(first, last, stack(replicates), sums, time.perf_counter() - start)

@@ -17,7 +17,9 @@ import numpy as np
     LOOP_FLOW,
     LOOP_NULL,
     LOOP_BOOTSTRAP,
-) = range(8)
+    PREDICTION_UNKNOWNS,
+    PREDICTION_READINGS,
+) = range(10)
 
 
 def random_stream(seed: int, experiment: str, purpose: int, replicate: int) -> np.random.Generator:

@@ -179,11 +179,12 @@ class Panel:
         )
         self.legend[label] = _marker_swatch(color, marker, filled)
 
-    def bars(self, label, x, names, color=BLUE) -> None:
-        """Bars from 0 to `x` in the row of each name."""
+    def bars(self, label, x, names, color=BLUE, start=0.0) -> None:
+        """Bars of length `x` from `start` in the row of each name."""
         for name, value in zip(names, x, strict=True):
             self._data.add(self._figure, name, label, "", None, self._x, [value])
-        self.axes.barh([self._rows.index(name) for name in names], x, 0.62, color=color)
+        rows = [self._rows.index(name) for name in names]
+        self.axes.barh(rows, x, 0.62, start, color=color)
         self.legend[label] = _swatch(
             f'<rect x="3" y="2" width="20" height="8" fill="var(--{_VARIABLES[color]})"/>'
         )

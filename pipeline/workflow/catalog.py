@@ -14,6 +14,7 @@ from pipeline.config.load import (
     load_comparisons,
     load_experiments,
     load_studies,
+    prediction_problems,
     sources,
 )
 from pipeline.config.messages import ConfigError, did_you_mean
@@ -62,6 +63,11 @@ class Catalog:
 
         self.studies = load("studies_dir", load_studies)
         self.comparisons = load("comparisons_dir", load_comparisons)
+        self.predicted = [n for n, e in self._known.items() if e.prediction is not None]
+        if own["experiments_dir"] and not all(own.values()):  # its studies are left out
+            self.predicted = [n for n in self.predicted if self._has_study(n)]
+        for name in self.predicted:
+            found += prediction_problems(self._known[name], self.studies, self._known)
         if found:
             raise ConfigError(found)
         self.experiments = self._known
@@ -70,6 +76,7 @@ class Catalog:
             named = {name for user in users for name in user.experiments}
             named |= {one.name for name in named for one in sources(self._known[name], self._known)}
             self.experiments = {n: e for n, e in self._known.items() if n in named}
+            self.predicted = [name for name in self.predicted if name in named]
 
     def file(self, name: str) -> str:
         """Path of the experiment's file."""
@@ -106,6 +113,51 @@ class Catalog:
         """`calibration.json` of the experiment that `stress: {from: NAME}` refers to, if any."""
         source = self.experiments[name].stress.from_
         return [f"{self.results}/experiments/{source}/calibration.json"] if source else []
+
+    def _has_study(self, name: str) -> bool:
+        study = self._known[name].prediction.study
+        return study is None or study in self.studies
+
+    def prediction_page(self, name: str) -> dict[str, str]:
+        """The page of an experiment's prediction, by its name among the inputs of its report."""
+        folder = f"{self.results}/experiments/{name}"
+        return {"prediction": f"{folder}/prediction.html"} if name in self.predicted else {}
+
+    def prediction_inputs(self, name: str) -> dict[str, object]:
+        """Files of results that a prediction comes from: a study's, or calibrations."""
+        study = self.experiments[name].prediction.study
+        if study is not None:
+            return {"attribution": f"{self.results}/studies/{study}/attribution.json"}
+        chain = sources(self.experiments[name], self.experiments)
+        folder = f"{self.results}/experiments"
+        return {"calibrations": [f"{folder}/{one.name}/calibration.json" for one in chain]}
+
+    def prediction_study(self, name: str) -> str | None:
+        """Path of the file of the study that a prediction names; None without one."""
+        study = self.experiments[name].prediction.study
+        return None if study is None else self.study_file(study)
+
+    def prediction_experiments(self, name: str) -> list[str]:
+        """Files of the experiment, those its stress comes from, and those of its study."""
+        chain = [one.name for one in sources(self.experiments[name], self.experiments)]
+        study = self.experiments[name].prediction.study
+        chain += self._chain(study) if study is not None else []
+        return [self.file(one) for one in dict.fromkeys(chain)]
+
+    def prediction_threads(self, name: str, cores: int | None) -> int:
+        """As `threads`, for a prediction."""
+        return self.threads(name, cores, 2 * self.experiments[name].prediction.samples)
+
+    def prediction_settings(self, name: str) -> str:
+        """Digest of what the prediction's settings and all these files say."""
+        prediction = self.experiments[name].prediction
+        parts = [
+            digest(prediction),
+            *(self.settings(one.name) for one in sources(self.experiments[name], self.experiments)),
+        ]
+        if prediction.study is not None:
+            parts.append(self.study_settings(prediction.study))
+        return _sha256("".join(parts))
 
     def study_file(self, name: str) -> str:
         """Path of the study's file."""
@@ -147,9 +199,10 @@ class Catalog:
         chains = (sources(self.experiments[one], self.experiments) for one in named)
         return list(dict.fromkeys(one.name for chain in chains for one in chain))
 
-    def threads(self, name: str, cores: int | None) -> int:
+    def threads(self, name: str, cores: int | None, replicates: int | None = None) -> int:
         """One thread for a small experiment, all cores for a large one.
 
+        `replicates` stand in for its own number of them.
         On a Dask cluster one for each: its workers compute, and the job waits for them.
         """
         if self._on_cluster:
@@ -160,7 +213,11 @@ class Catalog:
         readings = 1
         if experiment.is_draw and experiment.readings.every:
             readings = experiment.mass_scheduled / experiment.readings.every
-        return (cores or 1) if cells * readings * experiment.replicates > SMALL_RUN else 1
+        return (
+            (cores or 1)
+            if cells * readings * (replicates or experiment.replicates) > SMALL_RUN
+            else 1
+        )
 
 
 def check_settings(config: Mapping[str, object]) -> None:

@@ -107,6 +107,7 @@ rule validate:
 
 rule report:
     input:
+        unpack(lambda w: CATALOG.prediction_page(w.experiment)),
         block_model=rules.block_model.output.block_model,
         calibration=rules.calibrate.output.calibration,
         replicates=rules.replicates.output.replicates,
