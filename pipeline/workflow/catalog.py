@@ -76,13 +76,14 @@ class Catalog:
     def settings(self, name: str) -> str:
         """Digest of what the experiment's own files say, and of the effects that they declare.
 
-        Its files are the YAML, the measured rows and the mask.
+        Its files are the YAML, the measured rows, the mask and the regions'.
         """
         experiment = self.experiments[name]
         parts = [digest(experiment), repr([_said(row) for row in check_measured(experiment)])]
         parts.append(self.effects(name))
-        if experiment.mask_path is not None:
-            parts.append(hashlib.sha256(experiment.mask_path.read_bytes()).hexdigest())
+        masks = [experiment.mask_path] if experiment.mask_path is not None else []
+        for file in (*masks, *experiment.region_paths.values()):
+            parts.append(hashlib.sha256(file.read_bytes()).hexdigest())
         return _sha256("".join(parts))
 
     def effects(self, name: str) -> str:
