@@ -101,6 +101,11 @@ class Catalog:
         source = self.experiments[name].stress.from_
         return [f"{self.results}/experiments/{source}/calibration.json"] if source else []
 
+    def grade_file(self, name: str, suffix: str) -> str | list[str]:
+        """`grade.nc` or `grade.csv` of an experiment whose drawn ground has grades or waste."""
+        has_curves = self.experiments[name].has_grade_curves
+        return f"{self.results}/experiments/{name}/grade.{suffix}" if has_curves else []
+
     def study_file(self, name: str) -> str:
         """Path of the study's file."""
         return str(self.studies[name].path)
