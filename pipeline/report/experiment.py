@@ -16,6 +16,7 @@ from pipeline.files.atomic import write_text
 from pipeline.report.draw_figures import draw_figures, draw_tables
 from pipeline.report.figures import panel_style
 from pipeline.report.page import Badge, Data, Table, decimals_of, parts, render
+from pipeline.report.region_figures import grade_table, region_figures, region_table
 from pipeline.report.results import (
     THRESHOLD_SD,
     THRESHOLD_SHARE,
@@ -50,7 +51,7 @@ def write_report(
     Parameters
     ----------
     inputs : files of results by name: block_model, calibration, replicates, fields, statistics,
-        validation; all beside the page
+        base_stress, validation, and grade where it was made; all beside the page
     report, data_file : the HTML page and the CSV with the columns of `page.COLUMNS`
     """
     data = Data()
@@ -74,6 +75,8 @@ def report_page(results: Results, data: Data, file_names: Iterable[str]) -> str:
         "published": published_table(results, data),
         "facts": fact_table(results, data),
         "setup": setup_table(results, data),
+        "regions": region_table(results, data),
+        "grade": grade_table(results, data),
         "areas": area_table(results, data),
         "schedule": schedule_table(results, data),
     }
@@ -91,6 +94,7 @@ def report_page(results: Results, data: Data, file_names: Iterable[str]) -> str:
         draw_tables=draw_tables(results, data) if is_draw else [],
         draw_figures=draw,
         rest_figures=rest,
+        region_figures=region_figures(results, data),
         files=list(file_names),
         provenance={
             name: attributes.get(name, "unknown")
