@@ -1,5 +1,6 @@
 """The ``regions:`` of an experiment: where another material lies, and what grade it has."""
 
+import re
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Self
 
@@ -116,6 +117,12 @@ class Grade(Strict):
     checks = (_one_source_of_grade, _at_most_pure)
 
 
+def _grade_name(value: Any) -> str:
+    if not isinstance(value, str) or not re.fullmatch("[A-Za-z][A-Za-z0-9]*", value):
+        raise ValueError("expected a name of letters and digits, such as Cu or CuEq")
+    return value
+
+
 def _one_place(box, mask, column) -> Iterator[Found]:
     places = {"box": box, "mask": mask, "column": column}
     given = [key for key, value in places.items() if value is not None]
@@ -149,9 +156,7 @@ class Region(Strict):
     """Bulk density, kg m-3; without it that of the experiment's material."""
     particle_size: ParticleSize | None = None
     """Smallest and largest particle size, m; without it that of the experiment's material."""
-    grade: dict[Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9]*$")], Grade] = Field(
-        default_factory=dict
-    )
+    grade: dict[Annotated[str, BeforeValidator(_grade_name)], Grade] = Field(default_factory=dict)
     """Grades by the name of the mineral or metal; waste may leave them out, and has 0 then."""
     waste: bool = Field(False, strict=True)
     """Whether it dilutes what is drawn (true or false)."""
@@ -205,10 +210,11 @@ def grades_fit(regions) -> Iterator[Found]:
     first = next((region.name for region in regions if region.grade), None)
     for place, region in enumerate(regions):
         at = ("regions", place, "grade")
-        for name in region.grade.keys() - known.keys():
+        unknown = region.grade.keys() - known.keys()
+        for name in sorted(unknown):
             hint = did_you_mean(name, known, "its grades are")
             yield (*at, name), f"region {first} has no such grade{hint}; give all regions the same"
-        if region.waste and not region.grade:
+        if unknown or (region.waste and not region.grade):
             continue
         for name, unit in known.items():
             if name not in region.grade:
