@@ -18,10 +18,12 @@ from pipeline.report.figures import panel_style
 from pipeline.report.page import Badge, Data, Table, decimals_of, parts, render
 from pipeline.report.region_figures import grade_table, region_figures, region_table
 from pipeline.report.results import (
+    ASSUMED,
     THRESHOLD_SD,
     THRESHOLD_SHARE,
     Results,
     agreement,
+    is_assumed,
     open_results,
     quantity_words,
 )
@@ -37,7 +39,6 @@ PARAMETERS = {  # name in calibration.json: (words, key in the experiment's file
     "exponent": ("n: flow exponent", "flow.exponent", True),
     "bulking": ("q: bulking", "flow.bulking", True),
 }
-ASSUMED = Badge("assumed", "warn")
 
 
 def write_report(
@@ -247,14 +248,6 @@ def _parameter_row(table, words, start, entry, unit, remarks):
         for column, value in zip(table.columns[1:5], values, strict=True)
     )
     return [words, *cells, "–" if unit == "1" else unit, remarks]
-
-
-def is_assumed(experiment: Experiment, key: str) -> bool:
-    """Whether a key, one above it or one below it is declared as assumed."""
-    return any(
-        key == entry or key.startswith(f"{entry}.") or entry.startswith(f"{key}.")
-        for entry in experiment.assumed
-    )
 
 
 def reading_table(results: Results, data: Data) -> Table | None:

@@ -11,7 +11,7 @@ from pipeline.files.grade_table import quantities
 from pipeline.report.figures import ORANGE, SPREAD_COLORS, Panel, section_size
 from pipeline.report.page import Badge, Data, Figure, Table, decimals_of, parts
 from pipeline.report.plan_figures import evenly
-from pipeline.report.results import Results
+from pipeline.report.results import ASSUMED, Results, is_assumed
 
 MOST_DRAWPOINTS = 7  # that get a panel each, beside all of them together
 BAND = "P10–P90 of replicates"
@@ -23,6 +23,7 @@ def region_table(results: Results, data: Data) -> Table | None:
     if not experiment.regions:
         return None
     units = experiment.grade_units
+    assumed = [ASSUMED] if is_assumed(experiment, "regions") else []
     table = Table(
         "regions",
         "Regions as declared; a cell belongs to the last one that holds its center. Ground in no "
@@ -34,7 +35,7 @@ def region_table(results: Results, data: Data) -> Table | None:
             "Smallest particle (m)",
             "Largest particle (m)",
             *(f"{name} ({unit})" for name, unit in units.items()),
-            "Waste",
+            "Remarks",
         ],
         data,
     )
@@ -50,7 +51,8 @@ def region_table(results: Results, data: Data) -> Table | None:
             else:
                 value = 0.0 if grade is None else grade.value
                 row.append(table.number(name, f"{mineral} ({unit})", value))
-        table.rows.append([*row, Badge("waste", "warn") if region.waste else ""])
+        remarks = [Badge("waste", "warn")] if region.waste else []
+        table.rows.append([*row, [*remarks, *assumed]])
     return table.without_empty_columns()
 
 

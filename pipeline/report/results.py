@@ -19,10 +19,12 @@ from pipeline.files.atomic import read_json
 from pipeline.lattice.block_model import lattice_of
 from pipeline.lattice.grid import Lattice
 from pipeline.parameters import Parameters
+from pipeline.report.page import Badge
 from pipeline.report.plan_figures import evenly, mass_unit
 from pipeline.simulate import load_cells
 from pipeline.validate.validation import CALIBRATED
 
+ASSUMED = Badge("assumed", "warn")
 MANY_LOAD_CELLS = 12  # beyond them a map and a table stand for a panel of each
 MOST_PANELS = 7  # of single load cells, where there are many
 
@@ -205,3 +207,11 @@ def agreement(validation: Mapping[str, Any], run: str) -> Agreement | None:
     if not errors:
         return None
     return Agreement(len(errors), sum(e <= THRESHOLD_SD for e in errors), max(errors))
+
+
+def is_assumed(experiment: Experiment, key: str) -> bool:
+    """Whether a key, one above it or one below it is declared as assumed."""
+    return any(
+        key == entry or key.startswith(f"{entry}.") or entry.startswith(f"{key}.")
+        for entry in experiment.assumed
+    )

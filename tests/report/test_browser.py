@@ -11,7 +11,7 @@ WIDTHS = (420, 1280)
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
-@pytest.mark.parametrize("name", ["static", "draw", "study", "comparison", "pillars"])
+@pytest.mark.parametrize("name", ["static", "draw", "regions", "study", "comparison", "pillars"])
 def test_no_page_is_wider_than_its_window(request, tmp_path, name):
     html = request.getfixturevalue(name).html
     report = "<script>parent.postMessage([innerWidth, document.documentElement.scrollWidth], '*')"
