@@ -79,6 +79,10 @@ def _as_text(value: Any) -> str:
     return f"{value:.10g}" if isinstance(value, float) else str(value)
 
 
+_Value = Annotated[str, BeforeValidator(_as_text, json_schema_input_type=str | float)]
+ColumnValues = Annotated[tuple[_Value, ...], Field(min_length=1)]
+
+
 class BlockColumn(Strict):
     """Where a column of an imported block model has certain values."""
 
@@ -86,10 +90,7 @@ class BlockColumn(Strict):
     """NetCDF file of the block model's columns (.nc), relative to the experiment's file."""
     name: Text
     """Name of the column."""
-    values: Annotated[
-        tuple[Annotated[str, BeforeValidator(_as_text, json_schema_input_type=str | float)], ...],
-        Field(min_length=1),
-    ]
+    values: ColumnValues
     """Values of the column that belong to the region."""
 
 
@@ -139,19 +140,11 @@ def _grade_columns_are_known(column, grade) -> Iterator[Found]:
             yield ("grade", name, "column"), "needs a region that is given by column too"
 
 
-class Region(Strict):
-    """A part of the ground with a material of its own; a later one overrides an earlier one."""
+class RegionMaterial(Strict):
+    """What the material of a region is."""
 
     name: FileStem
     """Name, unique among the regions."""
-    box: Box | None = None
-    """Where it is: a box, in the model's coordinates."""
-    mask: Annotated[
-        RegionMask | None, BeforeValidator(_mask, json_schema_input_type=str | RegionMask)
-    ] = None
-    """In place of box: a netCDF file that says where, on the experiment's cells."""
-    column: BlockColumn | None = None
-    """In place of box: a column of an imported block model, and its values."""
     bulk_density: Density | None = None
     """Bulk density, kg m-3; without it that of the experiment's material."""
     particle_size: ParticleSize | None = None
@@ -161,7 +154,22 @@ class Region(Strict):
     waste: bool = Field(False, strict=True)
     """Whether it dilutes what is drawn (true or false)."""
 
-    checks = (_one_place, _grade_columns_are_known, size_order)
+    checks = (size_order,)
+
+
+class Region(RegionMaterial):
+    """A part of the ground with a material of its own; a later one overrides an earlier one."""
+
+    box: Box | None = None
+    """Where it is: a box, in the model's coordinates."""
+    mask: Annotated[
+        RegionMask | None, BeforeValidator(_mask, json_schema_input_type=str | RegionMask)
+    ] = None
+    """In place of box: a netCDF file that says where, on the experiment's cells."""
+    column: BlockColumn | None = None
+    """In place of box: a column of an imported block model, and its values."""
+
+    checks = (*RegionMaterial.checks, _one_place, _grade_columns_are_known)
 
     def stretched(self, factor: float) -> Self:
         """The region where its box, if it has one, is so many times as high above the base."""
