@@ -106,10 +106,10 @@ def _write(arguments, settings, table, title, drawpoints=None, schedule=None) ->
     from pipeline.files.mine.experiment import describe_experiment, write_experiment
 
     grid = regular_grid(table, settings.gaps, settings.base)
-    content, mask, notes = describe_experiment(table, grid, settings, drawpoints, schedule)
+    content, datasets, notes = describe_experiment(table, grid, settings, drawpoints, schedule)
     content |= {"title": f"{arguments.name}, imported", "source": title}
     written = write_experiment(
-        arguments.name, content, mask, notes, arguments.into, arguments.overwrite
+        arguments.name, content, datasets, notes, arguments.into, arguments.overwrite
     )
     print(*(f"- {note}" for note in notes), *written, sep="\n")
     return 0

@@ -6,95 +6,53 @@ above it.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    PrivateAttr,
-    model_validator,
-)
+from pydantic import BeforeValidator, Field
 
 from pipeline.config.effects import EffectBlock, effects_fit
+from pipeline.config.fields import (
+    Density,
+    FileStem,
+    Fraction,
+    FrictionAngle,
+    FromFile,
+    Height,
+    Length,
+    Mass,
+    MassDrawn,
+    MineCoordinate,
+    Number,
+    ParticleSize,
+    Position,
+    Stress_kPa,
+    Strict,
+    Text,
+    Transmission,
+    size_order,
+)
 from pipeline.config.messages import (
     NAME_PATTERN,
     Found,
-    InconsistentError,
     did_you_mean,
     quantity,
     read_number,
-    run_checks,
     whole,
 )
+from pipeline.config.regions import Region, grades_fit, regions_fit, units_of
 
 MAX_CELLS = 2e9
 """Lattices beyond this number of cells are taken for a mistake of unit."""
 MAX_STEPS = 1e5
 """So are more readings, or more increments of one draw line, than this."""
 
-_MM, _PERCENT, _G_CM3 = (0.001,), (0.01,), (1000.0, 0.001)
-
-Length = quantity("a length in m, from 1e-6 to 10000", slips=_MM, ge=1e-6, le=1e4)
-Height = quantity("a height in m, from 0 to 10000", slips=_MM, ge=0, le=1e4)
-Position = quantity("a position in m, from 0 to 10000", slips=_MM, ge=0, le=1e4)
-MineCoordinate = quantity("a mine coordinate in m, from -1e8 to 1e8", ge=-1e8, le=1e8)
-Mass = quantity("a mass in kg, above 0", gt=0)
-MassDrawn = quantity("a mass in kg, 0 or more", ge=0)
-Density = quantity("a density in kg m-3, from 100 to 10000", slips=_G_CM3, ge=100, le=1e4)
-FrictionAngle = quantity("an angle in degrees, from 0 to below 90", ge=0, lt=90)
-Transmission = quantity("a fraction in (0, 1]", slips=_PERCENT, gt=0, le=1)
-Fraction = quantity("a fraction in [0, 1]", slips=_PERCENT, ge=0, le=1)
-Stress_kPa = quantity("a stress in kPa, 0 or more", ge=0)
-Number = quantity("a number")
-Text = Annotated[str, Field(min_length=1)]
-FileStem = Annotated[str, Field(pattern=NAME_PATTERN)]
 DataLabel = Literal["measured", "simulated (DEM)", "published simulation", "synthetic"]
 Parameter = Literal["E", "s", "s.mean", "s.std", "E_min", "R", "exponent", "bulking"]
 
 DRAW_PARAMETERS = ("E_min", "R", "exponent", "bulking")
 """Parameters that act only while material is drawn."""
-
-
-class Strict(BaseModel):
-    """A frozen model without unknown keys; ``checks`` are its conditions across keys."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
-    checks: ClassVar[tuple[Callable[..., Iterator[Found]], ...]] = ()
-
-    @model_validator(mode="after")
-    def _is_consistent(self):
-        values = {name: getattr(self, name) for name in type(self).model_fields}
-        if found := tuple(run_checks(self.checks, values)):
-            raise InconsistentError(found)
-        return self
-
-
-class FromFile(Strict):
-    """What a YAML file of its own holds; its name is the file's stem."""
-
-    _path: Path = PrivateAttr(Path("unnamed.yaml"))
-
-    def at(self, path: Path) -> Self:
-        """The same as what the file ``path`` holds."""
-        placed = self.model_copy()
-        placed._path = Path(path)
-        return placed
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self._path
-
-    @property
-    def name(self) -> str:
-        """Stem of the file."""
-        return self._path.stem
 
 
 # ---------------------------------------------------------------------------------------------
@@ -216,17 +174,6 @@ def _density_order(bulk_density, particle_density) -> Iterator[Found]:
         yield ("bulk_density",), text
 
 
-def _size_order(particle_size) -> Iterator[Found]:
-    if particle_size and particle_size[0] > particle_size[1]:
-        yield ("particle_size",), "expected the smallest size first, then the largest"
-
-
-def _two_sizes(value: Any) -> Any:
-    if not isinstance(value, list | tuple) or len(value) != 2:
-        raise ValueError("expected two lengths in m, smallest and largest: [2.36e-3, 4.7e-3]")
-    return value
-
-
 class Material(Strict):
     """The granular material."""
 
@@ -236,12 +183,12 @@ class Material(Strict):
     """Bulk density of the bed, kg m-3."""
     particle_density: Density
     """Density of the particles, kg m-3."""
-    particle_size: Annotated[tuple[Length, Length], BeforeValidator(_two_sizes)] | None = None
+    particle_size: ParticleSize | None = None
     """Smallest and largest particle size, m."""
     internal_friction_angle: FrictionAngle | None = None
     """Internal friction angle, degrees."""
 
-    checks = (_density_order, _size_order)
+    checks = (_density_order, size_order)
 
 
 class Walls(Strict):
@@ -595,8 +542,9 @@ def _lines_name_drawpoints(draw, drawpoints) -> Iterator[Found]:
             yield ("draw", line, "drawpoints", place), f"unknown drawpoint{hint}"
 
 
-def _bed_holds_the_draw(geometry, material, draw) -> Iterator[Found]:
-    bed = material.bulk_density * geometry.width * geometry.length * geometry.height
+def _bed_holds_the_draw(geometry, material, regions, draw) -> Iterator[Found]:
+    densest = max([material.bulk_density, *(one.bulk_density or 0.0 for one in regions)])
+    bed = densest * geometry.width * geometry.length * geometry.height
     drawn = math.fsum(line.mass for line in draw)
     if drawn > bed:
         yield ("draw",), f"the lines draw {drawn:g} kg together, the model holds {bed:.6g} kg"
@@ -685,6 +633,8 @@ class Experiment(FromFile):
     """Box and lattice: width, length, height, cell_size in m."""
     material: Material
     """The granular material."""
+    regions: tuple[Region, ...] = Field((), exclude_if=lambda regions: not regions)
+    """Parts of the ground with materials and grades of their own; later ones override."""
     walls: Walls | None = None
     """The walls of the box."""
     filling: Filling | None = None
@@ -726,6 +676,8 @@ class Experiment(FromFile):
 
     checks = (
         _particles_fit,
+        regions_fit,
+        grades_fit,
         _levels_fit,
         _attenuation_fits,
         _drawpoints_fit,
@@ -761,6 +713,16 @@ class Experiment(FromFile):
         return self.stress.E
 
     @property
+    def grade_units(self) -> dict[str, str]:
+        """Unit of each grade that the regions have, by the name of the mineral or metal."""
+        return units_of(self.regions)
+
+    @property
+    def has_grade_curves(self) -> bool:
+        """Whether what is drawn has a grade or a dilution."""
+        return self.is_draw and any(one.grade or one.waste for one in self.regions)
+
+    @property
     def measured_path(self) -> Path | None:
         """The measured table, found from the experiment's file; None without one."""
         return None if self.measured is None else self._path.parent / self.measured
@@ -770,3 +732,14 @@ class Experiment(FromFile):
         """The mask's file, found from the experiment's file; None without one."""
         mask = self.geometry.mask
         return self._path.parent / mask.path if isinstance(mask, FileMask) else None
+
+    @property
+    def region_paths(self) -> dict[str, Path]:
+        """Files of the regions, found from the experiment's file, by their dotted keys."""
+        places = enumerate((region.mask, region.column) for region in self.regions)
+        return {
+            f"regions[{place}].{key}.path": self._path.parent / one.path
+            for place, files in places
+            for key, one in zip(("mask", "column"), files, strict=True)
+            if one is not None
+        }

@@ -14,6 +14,7 @@ from pipeline.config.experiment import (
     Strict,
     Text,
 )
+from pipeline.config.regions import ColumnValues, RegionMaterial
 
 
 class Columns(Strict):
@@ -59,6 +60,15 @@ class ImportedMaterial(Strict):
     """Internal friction angle, degrees."""
 
 
+class ImportedRegion(RegionMaterial):
+    """A region of the experiment, by a column of the block model; later ones override."""
+
+    column: Text
+    """Name of the column that tells the region's blocks."""
+    values: ColumnValues
+    """Values of the column that belong to the region."""
+
+
 class ImportSettings(Strict):
     """A file beside the mine's files that says how to read them; every key is optional."""
 
@@ -78,7 +88,17 @@ class ImportSettings(Strict):
     """Sides of each drawpoint's opening, m; without it one cell."""
     material: ImportedMaterial = ImportedMaterial()
     """What the files do not say of the material."""
+    regions: tuple[ImportedRegion, ...] = ()
+    """Regions of the experiment, told by the block model's columns."""
     stress: Stress | None = None
     """How cells hand their load down; without it starting values to calibrate."""
     flow: Flow | None = None
     """How voids climb; without it starting values to calibrate."""
+
+    @property
+    def kept_columns(self) -> tuple[str, ...]:
+        """Columns that regions or their grades name, each once."""
+        names = []
+        for region in self.regions:
+            names += [region.column, *(g.column for g in region.grade.values() if g.column)]
+        return tuple(dict.fromkeys(names))

@@ -146,6 +146,9 @@ def load_experiment(path: Path) -> Experiment:
     if experiment.mask_path is not None and not experiment.mask_path.is_file():
         where = f"geometry.mask.path = {experiment.geometry.mask.path}"
         found.append((experiment.path, _no_such_file(where, experiment.mask_path)))
+    for key, file in experiment.region_paths.items():
+        if not file.is_file():
+            found.append((experiment.path, _no_such_file(key, file)))
     try:
         check_measured(experiment)
     except ConfigError as error:

@@ -217,7 +217,8 @@ def apply(active: tuple[Active, ...], stage: str, subject: Any) -> Any:
 def as_filled(experiment: Any, active: tuple[Active, ...] | None = None) -> Any:
     """The experiment with the height to which it truly was filled, where effects say so.
 
-    `active` replace the effects that the experiment declares.
+    The boxes of its regions are stretched with it. `active` replace the effects that the
+    experiment declares.
     """
     active = declared_effects(experiment) if active is None else active
     declared = experiment.geometry.height
@@ -225,4 +226,5 @@ def as_filled(experiment: Any, active: tuple[Active, ...] | None = None) -> Any:
     if height == declared:
         return experiment
     geometry = experiment.geometry.model_copy(update={"height": height})
-    return experiment.model_copy(update={"geometry": geometry})
+    regions = tuple(region.stretched(height / declared) for region in experiment.regions)
+    return experiment.model_copy(update={"geometry": geometry, "regions": regions})

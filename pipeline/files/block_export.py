@@ -26,10 +26,11 @@ def write_block_model(results: Results, path: str | Path, vulcan: bool = False) 
     """Write the ground's blocks as CSV, whole, x fastest and z slowest.
 
     The columns of `GEOMETRY` come first, in mine coordinates where the experiment says where it
-    stands; then `bulk_density_kg_m3`, and stresses and the movement zone at the first and the
-    last reading, the mass drawn or the fill height in their names. Values that do not exist are
-    empty. With `vulcan`, lines 2 to 4 hold the variables' descriptions, types and defaults,
-    names are lower case without points, and −99 stands for what does not exist.
+    stands; then `bulk_density_kg_m3`, the region's name and grades where there are regions, and
+    stresses and the movement zone at the first and the last reading, the mass drawn or the fill
+    height in their names. Values that do not exist are empty. With `vulcan`, lines 2 to 4 hold
+    the variables' descriptions, types and defaults, names are lower case without points, and −99
+    stands for what does not exist.
     """
     ground = results["block_model"]["state"].values != STATE_OUTSIDE
     attributes = list(_attributes(results))
@@ -48,8 +49,11 @@ def write_block_model(results: Results, path: str | Path, vulcan: bool = False) 
         writer.writerow([*GEOMETRY, *(re.sub(r"[^a-z0-9_]", "_", name.lower()) for name in names)])
         descriptions = [description.replace(",", ";") for _, description, _ in attributes]
         writer.writerow(["variable descriptions", *blank, *descriptions])
-        writer.writerow(["variable types", *blank, *["double"] * len(names)])
-        writer.writerow(["variable defaults", *blank, *["-99"] * len(names)])
+        kinds = [values.dtype.kind for _, _, values in attributes]
+        types = ["name" if kind == "U" else "double" for kind in kinds]
+        writer.writerow(["variable types", *blank, *types])
+        defaults = ["none" if kind == "U" else "-99" for kind in kinds]
+        writer.writerow(["variable defaults", *blank, *defaults])
     else:
         writer.writerow([*GEOMETRY, *names])
     sizes = [f"{side:.10g}"] * 3 + [f"{side**3:.10g}"]
@@ -57,9 +61,15 @@ def write_block_model(results: Results, path: str | Path, vulcan: bool = False) 
     columns = [values[ground] for _, _, values in attributes]
     for place in zip(*centers, *columns, strict=True):
         row = [f"{value:.12g}" for value in place[:3]] + sizes
-        row += [f"{v:.7g}" if np.isfinite(v) else missing for v in place[3:]]
+        row += [_cell(value, missing) for value in place[3:]]
         writer.writerow(row)
     write_text(path, text.getvalue())
+
+
+def _cell(value: str | float, missing: str) -> str:
+    if isinstance(value, str):
+        return value
+    return f"{value:.7g}" if np.isfinite(value) else missing
 
 
 def _attributes(results: Results) -> Iterator[tuple[str, str, np.ndarray]]:
@@ -71,6 +81,16 @@ def _attributes(results: Results) -> Iterator[tuple[str, str, np.ndarray]]:
         f"{density.attrs['long_name']}, unit {units}",
         density.values,
     )
+    model = results["block_model"]
+    if "region" in model:
+        names = np.array(model["region"].attrs["flag_meanings"].split())
+        index = np.nan_to_num(model["region"].values, nan=0.0).astype(int)
+        yield "region", model["region"].attrs["long_name"], names[index]
+    for name in results.experiment.grade_units:
+        grade = model[f"grade_{name}"]
+        unit = grade.attrs["units"]
+        column = with_unit(f"grade_{name}", unit)
+        yield column, f"{grade.attrs['long_name']}, unit {unit}", grade.values
     clock, times = clock_of(fields)
     unit = fields[clock].attrs["units"]
     for t in sorted({0, len(times) - 1}):

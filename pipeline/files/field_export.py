@@ -20,14 +20,15 @@ def write_fields(results: Results, folder: str | Path) -> Path:
 
     Cell arrays are the variables of `fields.nc` on (time, z, y, x), their units at the end of
     their names, NaN where nothing is; `ground` is 1 inside the mask, and cells outside it are
-    hidden. Coordinates are m, the mine's where the experiment says where it stands. The time of
-    the series is the mass drawn in kg, or the fill height in m.
+    hidden. With regions, `region` (its number in the experiment's file, 0 in none) and the grades
+    before draw are there too. Coordinates are m, the mine's where the experiment says where it
+    stands. The time of the series is the mass drawn in kg, or the fill height in m.
     """
     fields, name = results["fields"], results.experiment.name
     ground = results["block_model"]["state"].values != STATE_OUTSIDE
     side = results.experiment.geometry.cell_size
     grid = Grid(corner_of(results.experiment), (side, side, side))
-    constant = {"ground": ground.astype(np.uint8)}
+    constant = {"ground": ground.astype(np.uint8)} | _of_regions(results)
     if not ground.all():
         constant["vtkGhostType"] = np.where(ground, 0, HIDDEN_CELL).astype(np.uint8)
     clock, times = clock_of(fields)
@@ -46,3 +47,14 @@ def write_fields(results: Results, folder: str | Path) -> Path:
             steps.append((time, file))
         write_series(partial / f"{name}.pvd", steps)
     return Path(folder) / f"{name}.pvd"
+
+
+def _of_regions(results: Results) -> dict[str, np.ndarray]:
+    """Cell arrays that only an experiment with regions has."""
+    model, experiment = results["block_model"], results.experiment
+    if not experiment.regions:
+        return {}
+    region = np.nan_to_num(model["region"].values, nan=-1.0).astype(np.int8)
+    grades = [model[f"grade_{name}"] for name in experiment.grade_units]
+    named = {with_unit(str(one.name), one.attrs["units"]): one.values for one in grades}
+    return {"region": region} | named

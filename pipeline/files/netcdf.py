@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 import subprocess
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
@@ -30,9 +31,13 @@ STATISTICS = {  # suffix: (words, cell method over replicates)
     "std": ("standard deviation over replicates", "realization: standard_deviation"),
     "se": ("standard error of the mean over replicates", None),
     "p05": ("5th percentile over replicates", None),
+    "p10": ("10th percentile over replicates", None),
     "p50": ("median over replicates", "realization: median"),
+    "p90": ("90th percentile over replicates", None),
     "p95": ("95th percentile over replicates", None),
 }
+_NAMED = re.compile(r"(\w*grade)_([A-Za-z][A-Za-z0-9]*)(_\w+)?")  # as grade_NAME in the table
+OWN = "own"  # in the table: what the variable itself brings
 AS_DECLARED, WITHOUT_ZONE = "_as_declared", "_without_zone"
 PACKING_ONLY, EFFECTS_IMPLIED = "_packing_only", "_effects_implied"
 VARIANTS = {  # suffix of readings of the same replicates with other parameters: words
@@ -65,6 +70,14 @@ def describe(name: str, statistics: bool = False) -> dict[str, Any]:
     base, _, suffix = name.rpartition("_")
     if name in table and not (statistics and base in table and suffix in STATISTICS):
         return dict(table[name])
+    named = _NAMED.fullmatch(name)
+    if named and named[2] != "NAME":
+        entry = describe(f"{named[1]}_NAME{named[3] or ''}", statistics)
+        entry["long_name"] = entry["long_name"].replace("NAME", named[2])
+        entry["ancillary"] = [
+            other.replace("NAME", named[2]) for other in entry.get("ancillary", ())
+        ]
+        return entry
     for variant, words in VARIANTS.items():
         if variant in name:
             entry = describe(name.replace(variant, ""), statistics)
@@ -139,10 +152,12 @@ def _bounds(centers: np.ndarray) -> np.ndarray:
 
 def _attributes(name: str, entry: dict[str, Any], dataset: xr.Dataset) -> dict[str, Any]:
     skip = ("dtype", "fill", "flags", "ancillary", "in")
-    attrs = {key: value for key, value in entry.items() if key not in skip}
+    own = dataset[name].attrs
+    attrs = {k: own[k] if value == OWN else value for k, value in entry.items() if k not in skip}
     if "flags" in entry:
-        attrs["flag_values"] = np.arange(len(entry["flags"]), dtype=np.int8)
-        attrs["flag_meanings"] = " ".join(entry["flags"])
+        flags = own["flag_meanings"].split() if entry["flags"] == OWN else entry["flags"]
+        attrs["flag_values"] = np.arange(len(flags), dtype=np.int8)
+        attrs["flag_meanings"] = " ".join(flags)
     present = [other for other in entry.get("ancillary", ()) if other in dataset]
     if present:
         attrs["ancillary_variables"] = " ".join(present)

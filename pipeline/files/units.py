@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-SUFFIX = {"kPa": "_kpa", "kg m-3": "_kg_m3", "m": "_m", "kg": "_kg", "1": ""}
+SUFFIX = {
+    "kPa": "_kpa",
+    "kg m-3": "_kg_m3",
+    "m": "_m",
+    "kg": "_kg",
+    "1": "",
+    "%": "_pct",
+    "kg/t": "_kg_t",
+    "g/t": "_g_t",
+    "ppm": "_ppm",
+}
 """What a UDUNITS unit becomes at the end of the name of a column or of a VTK array."""
 
 FACTORS = {

@@ -6,9 +6,11 @@ import numpy as np
 import xarray as xr
 
 from pipeline.config.experiment import Experiment
-from pipeline.config.messages import ConfigError
+from pipeline.config.regions import NO_REGION
 from pipeline.lattice.cells import OUTSIDE, STAGNANT
 from pipeline.lattice.grid import Lattice, make_lattice
+from pipeline.lattice.on_lattice import lattice_error, read_on_lattice
+from pipeline.lattice.regions import Regions, regions_on
 
 # CF flags of `state` and `zone` in files, apart from the kernels' cell codes
 STATE_VOID, STATE_GRANULAR, STATE_OUTSIDE = np.int8(0), np.int8(1), np.int8(2)
@@ -37,22 +39,23 @@ def build_block_model(experiment: Experiment) -> xr.Dataset:
     Dataset on (z, y, x) with `state` and `zone` (int8 flags), `bulk_density` (kg m-3; the top
     level scaled to its filled fraction, 0 outside the ground), `d50` (m, the middle of the
     declared particle sizes, NaN where none is declared or outside the ground) and `cell_id`
-    (int32, the flat index of the cell, -1 outside the ground). The attribute `lattice_notes`
-    says where a length was rounded.
+    (int32, the flat index of the cell, -1 outside the ground). With regions also `region` (int8
+    flags, -1 outside the ground) and `grade_NAME` of each grade, in its unit (NaN outside the
+    ground). The attribute `lattice_notes` says where a length was rounded.
 
     Raises
     ------
     ConfigError
-        If a mask leaves no ground, or a mask file does not fit the lattice.
+        If a mask leaves no ground, a mask file does not fit the lattice, or regions do not fit,
+        see `regions.regions_on`.
     """
     lattice = lattice_of(experiment)
     ground = ground_mask(experiment, lattice)
     if not ground.any():
-        raise _mask_error(experiment, "", "it leaves no ground cell")
-    bulk_density, size = experiment.material.bulk_density, experiment.material.particle_size
-    density = np.where(ground, np.float32(bulk_density), np.float32(0.0))
-    density[-1] = np.where(ground[-1], bulk_density * lattice.top_fraction, 0.0)
-    d50 = np.nan if size is None else 0.5 * (size[0] + size[1])
+        raise lattice_error(experiment, "geometry.mask", "it leaves no ground cell")
+    regions = regions_on(experiment, lattice, ground)
+    density = np.where(ground, regions.bulk_density.astype(np.float32), np.float32(0.0))
+    density[-1] = np.where(ground[-1], regions.bulk_density[-1] * lattice.top_fraction, 0.0)
     cell_id = np.arange(ground.size, dtype=np.int32).reshape(ground.shape)
     dims = ("z", "y", "x")
     return xr.Dataset(
@@ -60,12 +63,24 @@ def build_block_model(experiment: Experiment) -> xr.Dataset:
             "state": (dims, np.where(ground, STATE_GRANULAR, STATE_OUTSIDE)),
             "zone": (dims, np.full(ground.shape, ZONE_STAGNANT, np.int8)),
             "bulk_density": (dims, density),
-            "d50": (dims, np.where(ground, np.float32(d50), np.float32(np.nan))),
+            "d50": (dims, np.where(ground, regions.d50.astype(np.float32), np.nan)),
             "cell_id": (dims, np.where(ground, cell_id, np.int32(-1))),
+            **_of_regions(experiment, regions),
         },
         coords={axis: (axis, lattice.centers(axis)) for axis in "zyx"},
         attrs={"lattice_notes": "; ".join(lattice.notes)},
     )
+
+
+def _of_regions(experiment: Experiment, regions: Regions) -> dict[str, tuple]:
+    """Variables that only an experiment with regions has."""
+    if not experiment.regions:
+        return {}
+    names = " ".join([NO_REGION, *(region.name for region in experiment.regions)])
+    found = {"region": (tuple("zyx"), regions.index, {"flag_meanings": names})}
+    for name, unit in experiment.grade_units.items():
+        found[f"grade_{name}"] = (tuple("zyx"), regions.grades[name], {"units": unit})
+    return found
 
 
 def cell_codes(block_model: xr.Dataset) -> np.ndarray:
@@ -100,28 +115,5 @@ def ground_mask(experiment: Experiment, lattice: Lattice) -> np.ndarray:
             near_y = np.abs(y - point.y)[None, :] <= (point.length / 2 + opening)[:, None] + 1e-9
             in_funnel |= near_y[:, :, None] & near_x[:, None, :]
         return ~below[:, None, None] | in_funnel
-    return _mask_from_file(experiment, lattice, mask.variable)
-
-
-def _mask_from_file(experiment: Experiment, lattice: Lattice, variable: str) -> np.ndarray:
-    file = experiment.mask_path
-    try:
-        with xr.open_dataset(file, engine="netcdf4") as dataset:
-            found = ", ".join(map(str, dataset.data_vars)) or "no variable"
-            values = dataset[variable].load() if variable in dataset else None
-    except OSError as error:
-        text = f"{file} is not readable as netCDF: {error.strerror}"
-        raise _mask_error(experiment, ".path", text) from None
-    if values is None:
-        raise _mask_error(experiment, f".variable = {variable}", f"{file} has only: {found}")
-    if values.dims != ("z", "y", "x") or values.shape != lattice.shape:
-        raise _mask_error(
-            experiment,
-            f".variable = {variable}",
-            f"its dims are {dict(values.sizes)}; the lattice is (z, y, x) = {lattice.shape}",
-        )
-    return np.nan_to_num(values.values) != 0
-
-
-def _mask_error(experiment: Experiment, key: str, text: str) -> ConfigError:
-    return ConfigError([(experiment.path, f"geometry.mask{key}: {text}")])
+    where = "geometry.mask", experiment.mask_path, mask.variable, "variable"
+    return np.nan_to_num(read_on_lattice(experiment, lattice, *where).values) != 0

@@ -24,6 +24,7 @@ from pipeline.report.experiment_tables import (
 )
 from pipeline.report.figures import panel_style
 from pipeline.report.page import Data, parts, render, resource
+from pipeline.report.region_figures import grade_table, region_figures, region_table
 from pipeline.report.results import THRESHOLD_SD, THRESHOLD_SHARE, Results, agreement, open_results
 from pipeline.report.stress_figures import stress_figures
 from pipeline.validate.validation import CALIBRATED, DECLARED
@@ -40,7 +41,7 @@ def write_report(
     Parameters
     ----------
     inputs : files of results by name: block_model, calibration, replicates, fields, statistics,
-        validation; all beside the page
+        base_stress, validation, and grade where it was made; all beside the page
     report, data_file : the HTML page and the CSV with the columns of `page.COLUMNS`
     """
     data = Data()
@@ -65,6 +66,8 @@ def report_page(results: Results, data: Data, file_names: Iterable[str]) -> str:
         "published": published_table(results, data),
         "facts": fact_table(results, data),
         "setup": setup_table(results, data),
+        "regions": region_table(results, data),
+        "grade": grade_table(results, data),
         "areas": area_table(results, data),
         "schedule": schedule_table(results, data),
     }
@@ -86,6 +89,7 @@ def report_page(results: Results, data: Data, file_names: Iterable[str]) -> str:
         rest_figures=rest,
         files=names,
         numbers=names[0],
+        region_figures=region_figures(results, data),
         provenance={
             name: attributes.get(name, "unknown")
             for name in ("source", "git_revision", "config_sha256", "root_seed", "references")

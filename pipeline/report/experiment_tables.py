@@ -10,7 +10,7 @@ from pipeline.config.measured import QUANTITIES
 from pipeline.config.messages import shown
 from pipeline.effects import declared_effects
 from pipeline.report.page import Badge, Data, Table, decimals_of, parts
-from pipeline.report.results import Results, quantity_words
+from pipeline.report.results import ASSUMED, Results, is_assumed, quantity_words
 from pipeline.validate.validation import CALIBRATED, DECLARED, FALLEN
 
 PARAMETERS = {  # name in calibration.json: (words, key in the experiment's file, acts in draw only)
@@ -22,7 +22,6 @@ PARAMETERS = {  # name in calibration.json: (words, key in the experiment's file
     "exponent": ("n: flow exponent", "flow.exponent", True),
     "bulking": ("q: bulking", "flow.bulking", True),
 }
-ASSUMED = Badge("assumed", "warn")
 
 
 def parameter_table(results: Results, data: Data) -> Table:
@@ -87,14 +86,6 @@ def _parameter_row(table, words, start, entry, unit, remarks):
         for column, value in zip(table.columns[1:5], values, strict=True)
     )
     return [words, *cells, "–" if unit == "1" else unit, remarks]
-
-
-def is_assumed(experiment: Experiment, key: str) -> bool:
-    """Whether a key, one above it or one below it is declared as assumed."""
-    return any(
-        key == entry or key.startswith(f"{entry}.") or entry.startswith(f"{key}.")
-        for entry in experiment.assumed
-    )
 
 
 def reading_table(results: Results, data: Data) -> Table | None:

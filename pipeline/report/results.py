@@ -19,10 +19,12 @@ from pipeline.files.atomic import read_json
 from pipeline.lattice.block_model import lattice_of
 from pipeline.lattice.grid import Lattice
 from pipeline.parameters import Parameters
+from pipeline.report.page import Badge
 from pipeline.report.plan_figures import evenly, mass_unit
 from pipeline.simulate import load_cells
 from pipeline.validate.validation import CALIBRATED
 
+ASSUMED = Badge("assumed", "warn")
 MANY_LOAD_CELLS = 12  # beyond them a map and a table stand for a panel of each
 MOST_PANELS = 7  # of single load cells, where there are many
 
@@ -31,7 +33,8 @@ MOST_PANELS = 7  # of single load cells, where there are many
 class Results:
     """What the rules before the report wrote; the datasets read from disk what is asked for.
 
-    `base_stress` holds the load cells' rows of `base_stress.csv`.
+    `base_stress` holds the load cells' rows of `base_stress.csv`; `grade` is None where nothing
+    that is drawn has a grade or a dilution.
     """
 
     experiment: Experiment
@@ -40,7 +43,9 @@ class Results:
     replicates: xr.Dataset
     statistics: xr.Dataset
     fields: xr.Dataset
+    block_model: xr.Dataset
     base_stress: Sequence[Mapping[str, str]]
+    grade: xr.Dataset | None = None
 
     @property
     def lattice(self) -> Lattice:
@@ -151,14 +156,17 @@ class Results:
 def open_results(experiment: Experiment, files: Mapping[str, str | Path]) -> Iterator[Results]:
     """Results of an experiment from its files by their names in the rule `report`."""
     with ExitStack() as stack:
-        datasets = (
-            stack.enter_context(xr.open_dataset(files[name], engine="netcdf4", decode_times=False))
-            for name in ("replicates", "statistics", "fields")
-        )
+
+        def opened(name: str) -> xr.Dataset:
+            dataset = xr.open_dataset(files[name], engine="netcdf4", decode_times=False)
+            return stack.enter_context(dataset)
+
+        names = ("replicates", "statistics", "fields", "block_model")
         documents = (read_json(files[name]) for name in ("calibration", "validation"))
         with open(files["base_stress"], encoding="utf-8", newline="") as table:
             rows = [row for row in csv.DictReader(table) if row["place"] == "load_cell"]
-            yield Results(experiment, *documents, *datasets, rows)
+            grade = opened("grade") if "grade" in files else None
+            yield Results(experiment, *documents, *map(opened, names), rows, grade)
 
 
 QUANTITY_WORDS = {
@@ -211,3 +219,11 @@ def agreement(validation: Mapping[str, Any], run: str) -> Agreement | None:
     if not errors:
         return None
     return Agreement(len(errors), sum(e <= THRESHOLD_SD for e in errors), max(errors))
+
+
+def is_assumed(experiment: Experiment, key: str) -> bool:
+    """Whether a key, one above it or one below it is declared as assumed."""
+    return any(
+        key == entry or key.startswith(f"{entry}.") or entry.startswith(f"{key}.")
+        for entry in experiment.assumed
+    )

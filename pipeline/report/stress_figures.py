@@ -172,8 +172,8 @@ def profile_figure(results: Results, data: Data) -> Figure:
         (3.6, 3.0),
         upright=True,
     )
-    overburden = results.experiment.material.bulk_density * GRAVITY * depth * KPA
-    panel.curve("overburden ρ g z", depth, overburden, color=MUTED, dash="dotted")
+    weight = overburden(results, surface - depth, surface)
+    panel.curve("overburden ρ g z", depth, weight, color=MUTED, dash="dotted")
     panel.curve(
         "model, mean over the level",
         depth,
@@ -192,6 +192,24 @@ def profile_figure(results: Results, data: Data) -> Figure:
         data.number("profile", "", "replicates", results.count),
     )
     return Figure("profile", "Vertical stress against depth", caption, [panel])
+
+
+def overburden(results: Results, low, high) -> np.ndarray:
+    """Weight of the ground between two heights over its area, kPa.
+
+    With regions, their densities are averaged over each level.
+    """
+    density = results.experiment.material.bulk_density
+    if not results.experiment.regions:
+        return density * GRAVITY * (high - low) * KPA
+    lattice = results.lattice
+    cells = results.block_model["bulk_density"].values.astype(np.float64)
+    levels = np.where(cells > 0, cells, np.nan)
+    weight = np.nanmean(levels, axis=(1, 2)) * GRAVITY * lattice.cell_size * KPA
+    heights = lattice.cell_size * np.arange(lattice.nz + 1.0)
+    heights[-1] -= lattice.cell_size * (1 - lattice.top_fraction)
+    below = np.append(0.0, np.cumsum(weight))
+    return np.interp(high, heights, below) - np.interp(low, heights, below)
 
 
 def measured_points(panel: Panel, results: Results, readings, x, values, low=None, high=None):
@@ -228,11 +246,10 @@ def filling_figure(results: Results, data: Data) -> Figure:
         f"at {height[-1]:.3g} m.",
         (3.6, 2.7),
     )
-    density = results.experiment.material.bulk_density
     panel.curve(
         "overburden ρ g h",
         np.append(0, height),
-        np.append(0, density * GRAVITY * height * KPA),
+        np.append(0, overburden(results, 0.0, height)),
         color=MUTED,
         dash="dotted",
     )

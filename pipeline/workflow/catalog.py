@@ -85,7 +85,7 @@ class Catalog:
     def settings(self, name: str) -> str:
         """Digest of what the experiment's own files say, and of the effects that they declare.
 
-        Its files are the YAML, the measured rows and the mask.
+        Its files are the YAML, the measured rows, the mask and the regions'.
         """
         if name not in self._settings:
             self._settings[name] = self._read_settings(name)
@@ -95,8 +95,9 @@ class Catalog:
         experiment = self.experiments[name]
         parts = [digest(experiment), repr([_said(row) for row in check_measured(experiment)])]
         parts.append(self.effects(name))
-        if experiment.mask_path is not None:
-            parts.append(hashlib.sha256(experiment.mask_path.read_bytes()).hexdigest())
+        masks = [experiment.mask_path] if experiment.mask_path is not None else []
+        for file in (*masks, *experiment.region_paths.values()):
+            parts.append(hashlib.sha256(file.read_bytes()).hexdigest())
         return sha256("".join(parts))
 
     def effects(self, name: str) -> str:
@@ -157,7 +158,12 @@ class Catalog:
         ]
         if prediction.study is not None:
             parts.append(self.study_settings(prediction.study))
-        return _sha256("".join(parts))
+        return sha256("".join(parts))
+
+    def grade_file(self, name: str, suffix: str) -> str | list[str]:
+        """`grade.nc` or `grade.csv` of an experiment whose drawn ground has grades or waste."""
+        has_curves = self.experiments[name].has_grade_curves
+        return f"{self.results}/experiments/{name}/grade.{suffix}" if has_curves else []
 
     def study_file(self, name: str) -> str:
         """Path of the study's file."""

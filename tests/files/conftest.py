@@ -5,12 +5,17 @@ from specs import MINE_ORIGIN
 
 from pipeline.files.netcdf import read_dataset, write_dataset
 from pipeline.lattice.block_model import build_block_model
+from pipeline.montecarlo.grade import grade_curves
 from pipeline.montecarlo.replicates import run_experiment
 from pipeline.montecarlo.statistics import replicate_statistics
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import make_setup
 
 KINDS = ("static", "draw")
+REGIONS = [
+    {"name": "ore", "box": {"z": [0, 0.8]}, "grade": {"Au": {"value": 1.5, "unit": "g/t"}}},
+    {"name": "cap", "box": {"z": [0.4, 0.8]}, "bulk_density": 1400, "waste": True},
+]
 
 
 @pytest.fixture(scope="session")
@@ -37,6 +42,8 @@ def written(column, drawn, tmp_path_factory):
             )
         elif kind == "draw":
             experiment = drawn(material=material)
+        elif kind == "regions":
+            experiment = drawn("regions", geometry={"mask": {"type": "cylinder"}}, regions=REGIONS)
         else:
             experiment = drawn("mine", geometry={"origin": MINE_ORIGIN}, keep_fields=True)
         model = build_block_model(experiment)
@@ -61,6 +68,11 @@ def written(column, drawn, tmp_path_factory):
             [runs],
             statistics=True,
         )
+        if experiment.has_grade_curves:
+            curves = grade_curves(experiment, read_dataset(block_model), read_dataset(runs))
+            write_dataset(
+                folder / "grade.nc", curves, experiment, "grade", "Grade", [runs], statistics=True
+            )
         done[kind] = experiment, folder
         return done[kind]
 

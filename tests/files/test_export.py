@@ -292,3 +292,34 @@ def test_results_that_were_not_run_are_named_with_the_rule(written, tmp_path):
     assert "replicates.nc" in text
     assert text.count("no such file; run the workflow first (rule replicates)") == 2
     assert [path.name for path in tmp_path.iterdir()] == ["block_model.nc"]
+
+
+# ---------------------------------------------------------------------------------------------
+# regions
+
+
+def test_an_image_has_regions_and_grades(written, tmp_path):
+    folder = written("regions")[1]
+    arrays = parse_vti(export(folder, "vtk", tmp_path / "vtk") / "regions_0000.vti")[1]
+    model = read_dataset(folder / "block_model.nc")
+    np.testing.assert_array_equal(arrays["region"], model["region"].fillna(-1))
+    np.testing.assert_array_equal(arrays["grade_Au_g_t"], model["grade_Au"])
+    assert set(np.unique(arrays["region"])) == {-1, 1, 2}
+
+
+@pytest.mark.parametrize("to", ["block_model", "vulcan"])
+def test_a_block_model_has_the_region_by_name_and_its_grades(written, tmp_path, to):
+    rows = table(export(written("regions")[1], to, tmp_path / "a.csv"))
+    grade = "grade_Au_g_t"
+    if to == "vulcan":
+        grade = grade.lower()
+        types, defaults = rows[1], rows[2]
+        assert (types["region"], types[grade]) == ("name", "double")
+        assert (defaults["region"], defaults[grade]) == ("none", "-99")
+        rows = rows[3:]
+    for row in rows:
+        low = float(row["centroid_z"]) < 0.4
+        assert row["region"] == ("ore" if low else "cap")
+        assert float(row[grade]) == (1.5 if low else 0.0)
+        assert float(row["bulk_density_kg_m3"]) == (1600 if low else 1400)
+    assert {row["region"] for row in rows} == {"ore", "cap"}

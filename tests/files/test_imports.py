@@ -40,6 +40,42 @@ def ground_of(experiment):
 
 
 # ---------------------------------------------------------------------------------------------
+# regions
+
+ROCKS = """\
+X,Y,Z,DX,DY,DZ,SG,rock,zone,Au (g/t)
+5,5,10,10,10,10,2.6,ore one,1,1.5
+15,5,10,10,10,10,2.6,ore two,2,0.5
+5,5,20,10,10,10,2.6,waste,3,0.0
+15,5,20,10,10,10,2.6,ore one,1,2.5
+"""
+BY_ROCK = """\
+regions:
+  - name: ore
+    column: rock
+    values: [ore one, ore two]
+    grade: {Au: {column: Au (g/t), unit: g/t}}
+  - {name: cap, column: zone, values: [3], waste: true, bulk_density: 1900}
+material: {bulk_density: 2100}
+cell_size: 5
+"""
+
+
+def test_columns_of_a_block_model_become_regions_and_grades(imported, tmp_path):
+    (tmp_path / "blocks.csv").write_text(ROCKS)
+    experiment = imported("blocks", tmp_path / "blocks.csv", settings=BY_ROCK)
+    model = build_block_model(experiment)
+    blocks = {"region": [[1, 1], [2, 1]], "grade_Au": [[1.5, 0.5], [0.0, 2.5]]}
+    blocks["bulk_density"] = [[2100, 2100], [1900, 2100]]
+    for name, expected in blocks.items():
+        cells = np.repeat(np.repeat(expected, 2, 0), 2, 1)[:, None, :].repeat(2, 1)
+        np.testing.assert_array_equal(model[name], cells, err_msg=name)
+    assert experiment.grade_units == {"Au": "g/t"}
+    assert sorted(path.name for path in tmp_path.rglob("*.nc")) == ["cave.nc"]
+    assert (tmp_path / "blocks" / "cave.nc").is_file()
+
+
+# ---------------------------------------------------------------------------------------------
 # block models
 
 

@@ -41,9 +41,12 @@ GLOBALS = {
 }
 
 
-@pytest.fixture(params=[f"{kind}/{name}" for kind in KINDS for name in FILES])
+OF_REGIONS = ("regions/block_model", "regions/grade")
+
+
+@pytest.fixture(params=[*(f"{kind}/{name}" for kind in KINDS for name in FILES), *OF_REGIONS])
 def dataset(request, written):
-    """Each file of both experiments, opened without any decoding."""
+    """Each file of both experiments, and what regions add, opened without any decoding."""
     kind, name = request.param.split("/")
     with netCDF4.Dataset(written(kind)[1] / f"{name}.nc") as opened:
         opened.set_auto_maskandscale(False)
@@ -91,6 +94,7 @@ def test_fields_pass_the_cf_checker_without_any_finding(folder, findings):
     [
         *(f"{kind}/{name}" for kind in KINDS for name in ("block_model", "replicates")),
         "static/statistics",
+        *OF_REGIONS,
         pytest.param("draw/statistics", marks=pytest.mark.slow),  # the checker takes 20 s
     ],
 )

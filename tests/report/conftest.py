@@ -55,6 +55,25 @@ def draw(drawn, make_page) -> Made:
 
 
 @pytest.fixture(scope="session")
+def regions(drawn, make_page) -> Made:
+    """A draw experiment of ore under a waste cap, with two grades."""
+    grade = {"Cu": {"value": 0.7, "unit": "%"}, "Au": {"value": 0.2, "unit": "g/t"}}
+    experiment = drawn(
+        "regions",
+        material={"name": "tuff <b>"},
+        regions=[
+            {"name": "ore", "box": {"z": [0, 0.8]}, "grade": grade},
+            {"name": "cap", "box": {"z": [0.4, 0.8]}, "bulk_density": 1300, "waste": True},
+        ],
+        draw=[{"drawpoints": ["west"], "mass": 120.0, "increment": 1.0}],
+        readings={"every": 40.0},
+        measured="table.csv",
+        assumed=["regions"],
+    )
+    return make_page(experiment, (row(load_cell="beside", mass_drawn=0.0),))
+
+
+@pytest.fixture(scope="session")
 def study(tmp_path_factory) -> MadeStudy:
     """A study that found an effect."""
     return make_study(tmp_path_factory.mktemp("study"), closed_loop())

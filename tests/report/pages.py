@@ -10,9 +10,11 @@ from pipeline.config.experiment import Experiment
 from pipeline.config.measured import MeasuredRow
 from pipeline.files.atomic import write_json
 from pipeline.files.base_stress import NEEDED, write_base_stress
+from pipeline.files.grade_table import write_grade_table
 from pipeline.files.netcdf import read_dataset, write_dataset
 from pipeline.files.results import Results
 from pipeline.lattice.block_model import build_block_model
+from pipeline.montecarlo.grade import grade_curves
 from pipeline.montecarlo.replicates import run_experiment
 from pipeline.montecarlo.statistics import replicate_statistics
 from pipeline.parameters import Parameters, declared_parameters
@@ -85,5 +87,11 @@ def make_page(experiment: Experiment, rows, folder: Path) -> Made:
     write_base_stress(Results(folder, NEEDED), files["base_stress"])
     document = validate(experiment, read_dataset(files["replicates"]), calibration, rows)
     write_json(files["validation"], document)
+    if experiment.has_grade_curves:
+        files |= {"grade": folder / "grade.nc", "grade_table": folder / "grade.csv"}
+        sources = (read_dataset(files[name]) for name in ("block_model", "replicates"))
+        curves = grade_curves(experiment, *sources)
+        write_dataset(files["grade"], curves, experiment, "grade", "Grade", statistics=True)
+        write_grade_table(curves, experiment.name, files["grade_table"])
     write_report(experiment, files, folder / "report.html", folder / "report_data.csv")
     return Made(experiment, files, folder)

@@ -5,7 +5,17 @@ from pathlib import Path
 import pytest
 from chromium import CHROMIUM, Chromium
 
-KINDS = ("static", "draw", "pillars", "study", "comparison", "blind", "catalogue", "index")
+KINDS = (
+    "static",
+    "draw",
+    "pillars",
+    "regions",
+    "study",
+    "comparison",
+    "blind",
+    "catalogue",
+    "index",
+)
 LEGIBILITY = Path(__file__).with_name("legibility.js").read_text("utf-8")
 SHOWN = """
 [...document.querySelectorAll(".player figure .panel-box")].map((panel) =>

@@ -26,7 +26,10 @@ DRAW = STATIC - {"filling"} | {
 }
 
 
-@pytest.fixture(params=["static", "draw"])
+REGIONS = {"regions", "drawn_Cu", "drawn_Au", "drawn_dilution"}
+
+
+@pytest.fixture(params=["static", "draw", "regions"])
 def made(request):
     return request.getfixturevalue(request.param)
 
@@ -51,7 +54,8 @@ def test_number_cells_hold_recorded_numbers(made):
 
 def test_every_figure_is_there_with_alternative_text(made):
     figures = set(re.findall(r'<figure id="figure-(\w+)"', made.html))
-    assert figures == (DRAW if made.experiment.is_draw else STATIC)
+    expected = DRAW if made.experiment.is_draw else STATIC
+    assert figures == expected | (REGIONS if made.experiment.regions else set())
     panels = re.findall(r'<svg class="panel"[^>]*>', made.html)
     assert len(panels) >= len(figures)
     assert all(re.search(r'role="img" aria-label="[^"]{10,}"', panel) for panel in panels)
@@ -281,3 +285,44 @@ def test_many_load_cells_get_a_map_and_a_table_by_period(pillars):
 def test_few_load_cells_keep_a_panel_each(draw):
     assert "base_map" not in draw.html
     assert "Shown are" not in draw.html
+
+
+def test_what_was_drawn_has_the_grades_of_the_files(regions):
+    with xr.open_dataset(regions.inputs["grade"]) as curves:
+        curves = curves.load()
+    for name, figure in (("grade_Cu", "drawn_Cu"), ("dilution", "drawn_dilution")):
+        shown = np.array(regions.series(figure, "in each bin, mean", "west"))
+        np.testing.assert_allclose(shown[:, 1], curves[f"drawn_{name}_mean"].values[0], rtol=1e-9)
+        until = np.array(regions.series(figure, "from the start, mean", "All drawpoints"))
+        np.testing.assert_allclose(until[:, 0], curves["mass_to"].values[-1])
+        expected = curves[f"cumulative_{name}_mean"].values[-1]
+        np.testing.assert_allclose(until[:, 1], expected, rtol=1e-9)
+    (total,) = [
+        row["y"]
+        for row in regions.rows
+        if (row["figure"], row["panel"], row["series"]) == ("grade", "west", "dilution (–): P90")
+    ]
+    assert float(total) == pytest.approx(float(curves["cumulative_dilution_p90"][0, -1]), rel=1e-9)
+
+
+def test_regions_stand_in_a_table_with_place_density_grades_and_waste(regions):
+    (table,) = re.findall(r'<table id="table-regions">.*?</table>', regions.html, re.DOTALL)
+    rows = re.findall(r'<th scope="row">(\d: \w+)</th>(.*?)</tr>', table, re.DOTALL)
+    assert [name for name, _ in rows] == ["1: ore", "2: cap"]
+    assert "z 0 to 0.8 m" in rows[0][1]
+    assert shown_numbers(rows[0][1]) == ["1600", "0.7", "0.2"]
+    assert shown_numbers(rows[1][1]) == ["1300", "0", "0"]
+    assert ["waste" in cells for _, cells in rows] == [False, True]
+    assert "tuff &lt;b&gt;" in table
+    assert "tuff <b>" not in regions.html
+
+
+def test_the_overburden_is_that_of_the_regions(regions):
+    depth = dict(regions.series("profile", "overburden ρ g z"))
+    assert min(depth.values()) == pytest.approx(1300 * 9.81 * 0.05 / 1e3, rel=1e-6)
+    assert max(depth.values()) == pytest.approx(1450 * 9.81 * 0.8 / 1e3, rel=1e-6)
+
+
+def test_a_page_without_regions_says_nothing_of_them(draw):
+    assert "table-regions" not in draw.html
+    assert "dilution" not in draw.html

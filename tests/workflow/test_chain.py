@@ -68,7 +68,7 @@ def test_comments_and_layout_rerun_nothing(done):
         lambda text: "# a comment\n" + text.replace("E: 0.9", "E:    0.9"),
     )
     done.edit(f"{EXPERIMENTS}/measured/table.csv", lambda text: "# another\n" + text)
-    done.edit("pipeline/lattice/stress.py", lambda text: "# a comment\n" + text)
+    done.edit("pipeline/lattice/spreading.py", lambda text: "# a comment\n" + text)
     assert done.pending() == set()
 
 
@@ -82,7 +82,7 @@ def test_an_added_experiment_runs_alone(done):
 
 def test_a_changed_kernel_reruns_all_that_computes_with_it(done):
     done.edit(
-        "pipeline/lattice/stress.py",
+        "pipeline/lattice/spreading.py",
         lambda text: text.replace("S_LIMIT = 128.0", "S_LIMIT = 127.0"),
     )
     expected = RULES - {"block_model"}

@@ -166,7 +166,7 @@ def test_more_replicates_reuse_the_first(expected, copy_of, tmp_path):
 def test_a_changed_line_of_code_reuses_nothing(expected, copy_of, tmp_path):
     changed = copy_of(expected, tmp_path / "changed")
     changed.edit(
-        "pipeline/lattice/stress.py",
+        "pipeline/lattice/spreading.py",
         lambda text: text.replace("S_LIMIT = 128.0", "S_LIMIT = 127.0"),
     )
     process = changed.snakemake(*TARGETS)

@@ -31,6 +31,7 @@ class BlockGrid:
     ground : (z, y, x) bool, blocks that are there and ground
     density : (z, y, x) kg m-3, NaN where no ground; None where the table has none
     notes : what was left out, for the user
+    kept : (z, y, x) columns that regions name, NaN or an empty text where there is no ground
     """
 
     corner: tuple[float, float, float]
@@ -38,6 +39,7 @@ class BlockGrid:
     ground: np.ndarray
     density: np.ndarray | None
     notes: tuple[str, ...]
+    kept: dict[str, np.ndarray]
 
 
 def regular_grid(blocks: BlockTable, gaps: str = "refuse", base: float | None = None) -> BlockGrid:
@@ -100,9 +102,15 @@ def regular_grid(blocks: BlockTable, gaps: str = "refuse", base: float | None = 
     if blocks.density is not None:
         density = np.full(ground.shape, np.nan)
         density[z, y, x] = blocks.density[keep]
+    kept = {}
+    for name, values in blocks.kept.items():
+        empty = "" if values.dtype.kind == "U" else np.nan
+        kept[name] = np.full(ground.shape, empty, values.dtype)
+        kept[name][z, y, x] = values[keep]
     if base is not None and abs(corner[2] - base) > OFF_GRID * size[2]:
         notes.append(f"the base is the blocks' lower side at {corner[2]:.10g} m")
-    return BlockGrid(tuple(corner.tolist()), tuple(size.tolist()), ground, density, tuple(notes))
+    corner, size = tuple(corner.tolist()), tuple(size.tolist())
+    return BlockGrid(corner, size, ground, density, tuple(notes), kept)
 
 
 # ---------------------------------------------------------------------------------------------

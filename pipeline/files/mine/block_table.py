@@ -7,7 +7,7 @@ and Leapfrog's (comment lines with the block model's definition, then plain CSV)
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +50,7 @@ class BlockTable:
     swell : volume that loosening adds, relative to the volume in situ; None where not said
     friction_angle : mean internal friction angle, degrees; None where not said
     notes : what was understood, for the user
+    kept : columns that regions name, (block): numbers, NaN where empty, or texts
     """
 
     table: Table
@@ -62,6 +63,7 @@ class BlockTable:
     swell: float | None = None
     friction_angle: float | None = None
     notes: tuple[str, ...] = ()
+    kept: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 def read_block_table(path: str | Path, settings: ImportSettings) -> BlockTable:
@@ -106,9 +108,26 @@ def read_block_table(path: str | Path, settings: ImportSettings) -> BlockTable:
         density, note = read_density(table, found["density"], settings, ground)
         notes.append(note)
     _refuse_rotation(table)
+    kept = read_kept(table, settings)
     table.check()
     columns = tuple(found[role] for role in "xyz")
-    return BlockTable(table, centers * factor, sizes, columns, density, ground, notes=tuple(notes))
+    return BlockTable(
+        table, centers * factor, sizes, columns, density, ground, notes=tuple(notes), kept=kept
+    )
+
+
+def read_kept(table: Table, settings: ImportSettings) -> dict[str, np.ndarray]:
+    """Columns that the settings' regions name: numbers where all cells are, or else texts."""
+    kept = {}
+    for name in settings.kept_columns:
+        if table.find(name, ()) is None:
+            continue
+        texts = table.texts(name)
+        try:
+            kept[name] = np.array([float(text) if text else np.nan for text in texts])
+        except ValueError:
+            kept[name] = np.array(texts)
+    return kept
 
 
 def read_density(

@@ -15,7 +15,7 @@ import xarray as xr
 import yaml
 
 from pipeline.config.experiment import MAX_CELLS
-from pipeline.config.imports import ImportSettings
+from pipeline.config.imports import ImportedRegion, ImportSettings
 from pipeline.config.load import load_experiment
 from pipeline.config.messages import NAME_PATTERN, ConfigError, shown_path
 from pipeline.files.atomic import whole_file
@@ -39,11 +39,12 @@ def describe_experiment(
     settings: ImportSettings,
     drawpoints: tuple[Path, list[MineDrawpoint]] | None = None,
     schedule: Schedule | None = None,
-) -> tuple[dict[str, Any], xr.Dataset | None, list[str]]:
-    """An experiment as data under the keys of its file, its mask, and notes for the user.
+) -> tuple[dict[str, Any], dict[str, xr.Dataset], list[str]]:
+    """An experiment as data under the keys of its file, its datasets, and notes for the user.
 
     The model's corner is the grid's, its cells are the largest cubes that divide the blocks. The
-    mask is None where the ground fills the box.
+    datasets are `masks`, where the ground does not fill the box, and `blocks`, the columns that
+    regions name.
 
     Raises
     ------
@@ -69,6 +70,8 @@ def describe_experiment(
     material = _material(blocks, grid, settings, notes, assumed)
     content: dict[str, Any] = {"title": "", "source": "", "geometry": geometry}
     content["material"] = material
+    if settings.regions:
+        content["regions"] = [_region(region) for region in settings.regions]
     radius = width * length / (2 * (width + length))
     if settings.stress is not None:
         stress = settings.stress.model_dump(mode="json", by_alias=True, exclude_none=True)
@@ -94,22 +97,27 @@ def describe_experiment(
             content["flow"] = {"exponent": FLOW_EXPONENT, "bulking": bulking}
             assumed.append("flow")
     content |= {"calibrate": [], "replicates": 10, "seed": 1, "assumed": assumed}
-    mask = None
+    datasets = {}
     if not grid.ground.all():
         geometry["mask"] = {"type": "file", "path": ""}
-        mask = _mask(grid, parts, cell)
-    return content, mask, notes
+        attributes = {"long_name": "1 where there is ground, 0 where not", "units": "1"}
+        ground = {"ground": (grid.ground.astype(np.int8), attributes)}
+        datasets["masks"] = _on_cells(ground, parts, cell)
+    if grid.kept:
+        columns = {_variable(name): _column(name, values) for name, values in grid.kept.items()}
+        datasets["blocks"] = _on_cells(columns, parts, cell)
+    return content, datasets, notes
 
 
 def write_experiment(
     name: str,
     content: dict[str, Any],
-    mask: xr.Dataset | None,
+    datasets: dict[str, xr.Dataset],
     notes: Iterable[str],
     into: str | Path,
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write `NAME.yaml`, and `masks/NAME.nc` where there is a mask, once both have been checked.
+    """Write `NAME.yaml`, and `masks/NAME.nc` and `blocks/NAME.nc` where there are, once checked.
 
     Raises
     ------
@@ -121,29 +129,32 @@ def write_experiment(
     if not re.fullmatch(NAME_PATTERN, name):
         text = "the name names the results; expected letters, digits, _ and -"
         raise ConfigError([(into / name, text)])
-    target, mask_target = into / f"{name}.yaml", into / "masks" / f"{name}.nc"
-    targets = [target] if mask is None else [target, mask_target]
+    target = into / f"{name}.yaml"
+    files = {folder: Path(folder) / f"{name}.nc" for folder in datasets}
+    targets = [target, *(into / file for file in files.values())]
     there = [path for path in targets if path.exists()]
     if there and not overwrite:
         raise ConfigError(
             (path, "is there already; choose another name, or --overwrite") for path in there
         )
-    if mask is not None:
-        content["geometry"]["mask"]["path"] = f"masks/{name}.nc"
+    if "masks" in files:
+        content["geometry"]["mask"]["path"] = files["masks"].as_posix()
+    for region in content.get("regions", ()):
+        region["column"] = {"path": files["blocks"].as_posix()} | region["column"]
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / target.name
         made.write_text(_text(content, notes), encoding="utf-8")
-        if mask is not None:
-            (Path(folder) / "masks").mkdir()
-            plain = {axis: {"_FillValue": None} for axis in mask.coords}
-            mask.to_netcdf(Path(folder) / "masks" / f"{name}.nc", engine="netcdf4", encoding=plain)
+        for kind, dataset in datasets.items():
+            (Path(folder) / kind).mkdir()
+            plain = {axis: {"_FillValue": None} for axis in dataset.coords}
+            dataset.to_netcdf(Path(folder) / files[kind], engine="netcdf4", encoding=plain)
         try:
             build_block_model(load_experiment(made))
         except ConfigError as error:
             raise ConfigError(
                 (target, f"not written, it would be wrong: {text}") for _, text in error.problems
             ) from None
-        for path in reversed(targets):  # the mask first: no experiment without its mask
+        for path in reversed(targets):  # its files first: no experiment without them
             with whole_file(path) as partial:
                 shutil.copyfile(Path(folder) / path.relative_to(into), partial)
     return targets
@@ -234,16 +245,47 @@ def _material(blocks, grid, settings, notes, assumed) -> dict[str, Any]:
     return material if angle is None else material | {"internal_friction_angle": _neat(angle)}
 
 
-def _mask(grid: BlockGrid, parts: list[int], cell: float) -> xr.Dataset:
-    ground = grid.ground
-    for axis, count in zip((2, 1, 0), parts, strict=True):
-        ground = ground.repeat(count, axis)
+def _region(region: ImportedRegion) -> dict[str, Any]:
+    """A region under the keys of the experiment's file, but for the path of its column."""
+    said = region.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    column = {"name": _variable(said.pop("column")), "values": said.pop("values")}
+    for grade in said.get("grade", {}).values():
+        if "column" in grade:
+            grade["column"] = _variable(grade["column"])
+    return {"name": said.pop("name"), "column": column} | said
+
+
+def _variable(column: str) -> str:
+    """Name in a netCDF file of a column, which may hold blanks or slashes."""
+    return re.sub(r"[^\w.+-]", "_", column)
+
+
+def _column(name: str, values: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
+    """A column (z, y, x) as numbers with attributes; texts become flags with their meanings."""
+    attributes: dict[str, Any] = {"long_name": f"column {name} of the block model"}
+    if values.dtype.kind != "U":
+        return values, attributes
+    texts, codes = np.unique(values, return_inverse=True)
+    meanings = ["_".join(text.split()) or "no_value" for text in texts.tolist()]
+    attributes["flag_values"] = np.arange(len(texts), dtype=np.int32)
+    attributes["flag_meanings"] = " ".join(meanings)
+    return codes.reshape(values.shape).astype(np.int32), attributes
+
+
+def _on_cells(
+    blocks: dict[str, tuple[np.ndarray, dict[str, Any]]], parts: list[int], cell: float
+) -> xr.Dataset:
+    """Values of blocks on the lattice's cells; `parts` of them to a block along x, y and z."""
+    data, shape = {}, ()
+    for name, (values, attributes) in blocks.items():
+        for axis, count in zip((2, 1, 0), parts, strict=True):
+            values = values.repeat(count, axis)
+        data[name], shape = (tuple("zyx"), values, attributes), values.shape
     coords = {
         axis: (axis, (np.arange(n) + 0.5) * cell, {"units": "m"})
-        for axis, n in zip("zyx", ground.shape, strict=True)
+        for axis, n in zip("zyx", shape, strict=True)
     }
-    attributes = {"long_name": "1 where there is ground, 0 where not", "units": "1"}
-    return xr.Dataset({"ground": (tuple("zyx"), ground.astype(np.int8), attributes)}, coords=coords)
+    return xr.Dataset(data, coords=coords)
 
 
 def _drawpoints(drawpoints, grid: BlockGrid, cell: float, size: float | None) -> list[dict]:

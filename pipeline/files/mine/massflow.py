@@ -25,7 +25,7 @@ import numpy as np
 
 from pipeline.config.imports import ImportSettings
 from pipeline.config.messages import NAME_PATTERN, did_you_mean, shown
-from pipeline.files.mine.block_table import BlockTable, read_density
+from pipeline.files.mine.block_table import BlockTable, read_density, read_kept
 from pipeline.files.mine.tables import Table, read_lines, read_table, split, stop
 from pipeline.files.units import FACTORS
 
@@ -124,6 +124,7 @@ def read_mine_blocks(path: str | Path, settings: ImportSettings) -> BlockTable:
             if most < least
         ]
     )
+    kept = read_kept(table, settings)
     table.check()
     return BlockTable(
         table,
@@ -136,6 +137,7 @@ def read_mine_blocks(path: str | Path, settings: ImportSettings) -> BlockTable:
         swell=float((1 - in_situ.mean()) / (1 - largest.mean()) - 1),
         friction_angle=float(angle.mean()),
         notes=(note,),
+        kept=kept,
     )
 
 

@@ -87,6 +87,25 @@ rule aggregate:
         "../scripts/aggregate.py"
 
 
+rule grade:
+    input:
+        block_model=rules.block_model.output.block_model,
+        replicates=rules.replicates.output.replicates,
+    output:
+        grade="<results>/experiments/{experiment}/grade.nc",
+        table="<results>/experiments/{experiment}/grade.csv",
+    log:
+        "<results>/logs/experiments/{experiment}/grade.log",
+    params:
+        file=lambda w: CATALOG.file(w.experiment),
+        settings=lambda w: CATALOG.settings(w.experiment),
+        code=source_digest("grade"),
+    message:
+        "{wildcards.experiment}: grade and dilution"
+    script:
+        "../scripts/grade.py"
+
+
 rule validate:
     input:
         replicates=rules.replicates.output.replicates,
@@ -115,6 +134,8 @@ rule report:
         statistics=rules.aggregate.output.statistics,
         base_stress=rules.aggregate.output.base_stress,
         validation=rules.validate.output.validation,
+        grade=lambda w: CATALOG.grade_file(w.experiment, "nc"),
+        grade_table=lambda w: CATALOG.grade_file(w.experiment, "csv"),
     output:
         report=report(
             "<results>/experiments/{experiment}/report.html",

@@ -7,7 +7,7 @@ from pipeline.workflow.job import log_to
 log_to(snakemake.log[0])
 write_report(
     load_experiment(snakemake.params.file),
-    dict(snakemake.input.items()),
+    {name: file for name, file in snakemake.input.items() if file},
     snakemake.output.report,
     snakemake.output.data,
 )
