@@ -134,6 +134,10 @@ def _experiment(experiment: Experiment) -> str:
     box = experiment.geometry
     sides = (box.width, box.length, box.height)
     cells = math.prod(math.floor(side / box.cell_size + 0.5) for side in sides)
+    if experiment.regions:  # whether they, and their files, fit the lattice
+        from pipeline.lattice.block_model import build_block_model
+
+        build_block_model(experiment)
     kind = "draw" if experiment.is_draw else "static"
     values = _count(len(check_measured(experiment)), "measured value")
     return (

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pipeline.config.regions import NO_REGION, Region
+from pipeline.config.regions import Region
 from pipeline.files.grade_table import quantities
 from pipeline.report.figures import ORANGE, SPREAD_COLORS, Panel, section_size
 from pipeline.report.page import Badge, Data, Figure, Table, decimals_of, parts
@@ -78,7 +78,7 @@ def section_figure(results: Results, data: Data) -> Figure:
     experiment, row = results.experiment, results.section_row
     model = results.block_model.isel(y=row)
     x, z = model["x"].values, model["z"].values
-    names = [NO_REGION, *(region.name for region in experiment.regions)]
+    names = ["in no region", *(region.name for region in experiment.regions)]
     fields = {"Region": ("region", "number of the region")}
     for name, unit in experiment.grade_units.items():
         fields[name] = (f"grade_{name}", f"{name} ({unit})")
@@ -104,8 +104,8 @@ def section_figure(results: Results, data: Data) -> Figure:
         panel.image(x, z, values, words, 0.0, high or 1.0, SPREAD_COLORS)
         panels.append(panel)
     caption = parts(
-        "Regions before draw, by their numbers in the table of regions (0: in none), and their "
-        "grades; x–z section at y = {} m.",
+        "Regions before draw ({}), and their grades; x–z section at y = {} m.",
+        ", ".join(f"{number}: {name}" for number, name in enumerate(names)),
         data.number("regions", "", "y", float(model["y"]), unit="m"),
     )
     return Figure("regions", "Regions and grades before draw", caption, panels)

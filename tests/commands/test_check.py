@@ -162,3 +162,12 @@ def test_a_check_loads_neither_numba_nor_xarray(mine):
     command = [sys.executable, "-c", code]
     process = subprocess.run(command, capture_output=True, text=True, check=True)
     assert process.stdout.splitlines()[-1] == "0 []"
+
+
+def test_regions_that_do_not_fit_the_lattice_are_found(mine, call):
+    path = mine / "experiments" / "box.yaml"
+    regions = 'regions: [{name: ore, box: {z: [0, 0.1]}, grade: {Cu: {value: 1, unit: "%"}}}]\n'
+    path.write_text(path.read_text("utf-8") + regions, "utf-8")
+    answer = call("check", path)
+    assert (answer.status, answer.out) == (1, "")
+    assert "ground cells lie in no region, so that their grade Cu is not known" in answer.err
