@@ -57,7 +57,7 @@ def test_the_posterior_is_the_loops_own(studied):
 
 
 def test_another_experiment_of_the_material_gets_what_is_shared(studied, column):
-    world, model, point, last, _ = studied
+    world, _, _, last, _ = studied
     material = next(iter(world.experiments.values())).material.model_dump()
     other = column("elsewhere", material=material)
     experiments = world.experiments | {"elsewhere": other}

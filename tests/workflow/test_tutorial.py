@@ -119,7 +119,7 @@ def test_the_page_on_predictions_does_what_it_says(fresh, repository):
     reader = Reader(fresh)
     for block in BLOCK.finditer((repository / "docs" / "prediction.md").read_text("utf-8")):
         reader.follow(*(part or "" for part in block.groups()))
-    assert reader.done == ["sh", "yaml", "sh", "quote"]
+    assert reader.done == ["sh", "sh", "sh", "quote"]
 
 
 def test_the_tutorial_names_every_verdict_as_the_page_does(repository):
