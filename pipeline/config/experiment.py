@@ -415,6 +415,11 @@ class StopAt(Strict):
     """Number of replicates to run in any case."""
 
 
+def _samples_are_pairs(samples) -> Iterator[Found]:
+    if samples % 2:
+        yield ("samples",), "expected an even number: what is drawn is simulated on two packings"
+
+
 class Prediction(Strict):
     """A prediction whose bands hold what is not known of the parameters and effects.
 
@@ -422,9 +427,11 @@ class Prediction(Strict):
     """
 
     samples: whole("a whole number from 20 to 100000", ge=20, le=10**5) = 200
-    """Number of samples; each is simulated two or three times."""
+    """Number of samples, even: two packings for each draw of the parameters and effects."""
     study: FileStem | None = None
     """In place of the calibration: the study whose parameters and added effects are taken."""
+
+    checks = (_samples_are_pairs,)
 
 
 class PublishedFact(Strict):

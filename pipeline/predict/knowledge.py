@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibrate.calibration import SCALES
+from pipeline.calibrate.calibration import SCALES, Z90
 from pipeline.config.experiment import Experiment
 from pipeline.config.measured import MeasuredRow
 from pipeline.effects import Active, declared_effects
@@ -72,6 +72,16 @@ class Knowledge:
     def best(self) -> np.ndarray:
         """The fitted coordinates (unknown)."""
         return np.array([one.best for one in self.unknowns])
+
+    @property
+    def open(self) -> tuple[Unknown, ...]:
+        """Unknowns that the data do not bound: their 90 % intervals leave their ranges."""
+        half = Z90 * np.sqrt(np.diag(self.covariance))
+        return tuple(
+            one
+            for one, reach in zip(self.unknowns, half, strict=True)
+            if one.best - reach < one.low or one.best + reach > one.high
+        )
 
     @property
     def parameters(self) -> int:

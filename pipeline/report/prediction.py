@@ -177,10 +177,14 @@ def band_figure(content: Content, data: Data) -> Figure:
         panels = [_bands_of(content, data, place) for place in content.shown_places]
     left_out = len(content.places) - len(content.shown_places)
     caption = parts(
-        "Bands hold 90 % of n = {} samples (5th to 95th percentile); each holds what the one "
-        "before it draws, and one thing more. The line is the median of the whole.{}{}",
+        "Bands hold 90 % of n = {} samples (5th to 95th percentile); each draws what the one "
+        "before it draws, and one thing more. Lines are medians.{}{}",
         data.number("bands", "", "samples", content.document["samples"]),
-        parts(" Measured points are {} data, with one sd.", content.document["data_label"])
+        parts(
+            " Points are the {} data, with one sd; one that is a mean over several packings "
+            "scatters less than the band.",
+            content.document["data_label"],
+        )
         if content.document["readings"]
         else "",
         f" {left_out} more load cells are in the files." if left_out else "",
@@ -271,17 +275,16 @@ def share_figure(content: Content, data: Data) -> Figure:
             length = np.array([share[i] for share in shares.values()])
             if source == "effect" and not content.has_effects:
                 continue
-            if source == "interaction":
-                length = np.maximum(length, 0.0)
+            length = np.maximum(length, 0.0)
             panel.bars(source, length, list(shares), COLORS[source], start)
             start = start + length
         panel.reference("variance of the whole", x=100.0)
         panels.append(panel)
     caption = (
-        "Packing: s and the paths of the flow, which no measurement settles. Calibration: the "
-        "posterior of the parameters. Effect: what is not known of added effects once the "
-        "parameters are. Interaction: what these have in common, and chance; where it is "
-        "negative, the others add up to more than 100 %."
+        "Packing: s and the paths of the flow at the best values, which no measurement settles. "
+        "Calibration: the posterior of the parameters. Effect: what is not known of added effects "
+        "once the parameters are. Interaction: packings scatter otherwise with other parameters; "
+        "where it is less, the others add up to more than 100 %, as shares below 0 are no bars."
     )
     return Figure("shares", "Shares of the variance", caption, panels)
 
@@ -403,16 +406,15 @@ def reading_table(content: Content, data: Data) -> Table | None:
 def method(content: Content, data: Data) -> Markup:
     """How bands and shares come about, and where from."""
     return parts(
-        "Each of the {} samples is simulated on one packing (and flow) {}: with the best values, "
-        "with parameters drawn, and with effects drawn too ({} replicates). What a step changes "
-        "is due to what it draws; its share is the variance of that change over the variance of "
-        "the whole (law of total variance on common random numbers, parameters before effects, "
-        "effects given the parameters: Mara & Tarantola 2012, Reliab. Eng. Syst. Saf. 107, "
-        "115–121). Standard errors of shares: jackknife over samples (Efron & Stein 1981). "
-        "Unknowns are normal in the coordinates that they were fitted in (E as log(1 − E)), cut "
-        "off at their bounds. What no fit knows of is in no band: an effect that is missing, an "
-        "input declared wrong.",
+        "Each of the {} samples is simulated on a packing (and flow) of its own: with the best "
+        "values, with parameters drawn, and with effects drawn too ({} replicates in all). Two "
+        "samples have the same draw and two packings. What such pairs have in common is due to "
+        "what was drawn; what they differ in, to the packing (law of total variance: parameters "
+        "before effects, effects given the parameters; Mara & Tarantola 2012, Reliab. Eng. Syst. "
+        "Saf. 107, 115–121). Standard errors of shares: jackknife over pairs (Efron & Stein 1981, "
+        "Ann. Stat. 9, 586–596). Unknowns are normal in the coordinates that they were fitted in "
+        "(E as log(1 − E)), cut off at their bounds. What no fit knows of is in no band: an "
+        "effect that is missing, an input declared wrong.",
         data.number("method", "", "samples", content.document["samples"]),
-        "of its own",
         data.number("method", "", "replicates", content.document["simulated_replicates"]),
     )

@@ -45,7 +45,7 @@ class Reader:
 
     def sh(self, content: str, _) -> None:
         self.said = self.run(content)
-        if page := re.search(r"\S+/report\.html", content):
+        if page := re.search(r"\S+/(?:report|prediction)\.html", content):
             self.page = self.workspace.folder / page[0]
 
     def text(self, content: str, _) -> None:
@@ -110,6 +110,16 @@ def test_the_tutorial_leads_from_six_load_cells_to_the_verdict(fresh, repository
     assert (effect["name"], effect["scope_key"]) == ("sensor_gain", "C5")
     assert low < GAIN < high
     assert (made / "improved" / "box.yaml").is_file()
+
+
+def test_the_page_on_predictions_does_what_it_says(fresh, repository):
+    shutil.copytree(
+        repository / "workflow_configs" / "schema", fresh.folder / "workflow_configs" / "schema"
+    )
+    reader = Reader(fresh)
+    for block in BLOCK.finditer((repository / "docs" / "prediction.md").read_text("utf-8")):
+        reader.follow(*(part or "" for part in block.groups()))
+    assert reader.done == ["sh", "sh", "sh", "quote"]
 
 
 def test_the_tutorial_names_every_verdict_as_the_page_does(repository):
