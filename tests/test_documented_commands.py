@@ -28,6 +28,8 @@ COMMAND = re.compile(
 ELSEWHERE = {  # pages whose commands another test runs in their order, all or those that begin so
     "tutorial.md": ("", "workflow/test_tutorial.py"),
     "mine_files.md": ("python -m pipeline ", "files/test_mine_files_page.py"),
+    "regions.md": ("", "workflow/test_regions_page.py"),
+    "prediction.md": ("", "workflow/test_tutorial.py"),
 }
 RUN = (  # here, as they stand
     "python -m pipeline new NAME --dir DIR",

@@ -360,4 +360,6 @@ def test_the_table_says_of_each_variable_in_which_file_and_on_what_it_is(written
                 seen.add((name, file))
     told = {(n, file) for n, entry in variable_table().items() for file in entry["in"]}
     unseen = {one for one in told - seen if one[1] not in ("residual", "grade", "prediction")}
-    assert unseen == {("load_cell_footprint", "replicates")}  # of the adjoint, beside a run
+    # of the adjoint, beside a run, and where an experiment has regions
+    regions = {("region", "block_model"), ("grade_NAME", "block_model")}
+    assert unseen == {("load_cell_footprint", "replicates")} | regions
