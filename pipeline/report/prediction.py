@@ -108,6 +108,7 @@ def write_prediction_report(
     with panel_style():
         page = render(
             "prediction.html.j2",
+            numbers=Path(data_file).name,
             experiment=experiment,
             known_from=document["known_from"],
             label=document["data_label"] if document["readings"] else "",
