@@ -78,6 +78,7 @@ def test_import_settings_are_checked_wherever_they_lie(mine, call, repository):
     said = {str(path): call("check", path) for path in files}
     refused = {path for path, answer in said.items() if answer.status}
     assert {path.split("/")[-2] for path in refused} == {
+        "region_grade_without_unit",
         "settings_key_unknown",
         "settings_unit_unknown",
     }

@@ -34,7 +34,13 @@ rule prediction_report:
         samples=rules.predict.output.samples,
         numbers=rules.predict.output.numbers,
     output:
-        report="<results>/experiments/{experiment}/prediction.html",
+        report=report(
+            "<results>/experiments/{experiment}/prediction.html",
+            caption="../report/prediction.rst",
+            category="Experiments",
+            subcategory="{experiment}",
+            labels={"result": "prediction"},
+        ),
         data="<results>/experiments/{experiment}/prediction_data.csv",
     log:
         "<results>/logs/experiments/{experiment}/prediction_report.log",
