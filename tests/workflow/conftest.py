@@ -64,6 +64,21 @@ class Workspace:
             check=False,
         )
 
+    def shell(self, command: str) -> str:
+        """What a command of a page prints, run in the folder; it must succeed."""
+        path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+        process = subprocess.run(
+            ["bash", "-euc", command],
+            cwd=self.folder,
+            env=self.environment | {"PATH": path},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            check=False,
+        )
+        assert process.returncode == 0, process.stdout
+        return process.stdout
+
     def snakemake(self, *arguments: str) -> subprocess.CompletedProcess:
         """Run Snakemake here on two cores."""
         return self.python("-m", "snakemake", "--cores", "2", *arguments)

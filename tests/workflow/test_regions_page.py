@@ -1,10 +1,6 @@
 """`docs/regions.md`, done as a reader does it: files written, commands run, results as it says."""
 
-import os
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
@@ -23,21 +19,6 @@ def page(repository):
     return (repository / "docs" / "regions.md").read_text("utf-8")
 
 
-def run(workspace, command: str) -> str:
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    process = subprocess.run(
-        ["bash", "-euc", command],
-        cwd=workspace.folder,
-        env=workspace.environment | {"PATH": path},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        check=False,
-    )
-    assert process.returncode == 0, process.stdout
-    return process.stdout
-
-
 def test_the_page_does_what_it_says(fresh, page):
     said, kinds = "", []
     for kind, file, content in BLOCK.findall(page):
@@ -47,7 +28,7 @@ def test_the_page_does_what_it_says(fresh, page):
             path.parent.mkdir(exist_ok=True)
             path.write_text(content, "utf-8")
         elif kind == "sh":
-            said = run(fresh, content)
+            said = fresh.shell(content)
         else:
             assert kind == "text"
             for line in content.splitlines():

@@ -1,11 +1,8 @@
 """The tutorial, done as a reader does it: commands run, files written, what it quotes found."""
 
 import html
-import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -71,18 +68,7 @@ class Reader:
             assert re.search(r"\d*".join(pieces), page), line
 
     def run(self, command: str) -> str:
-        path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-        process = subprocess.run(
-            ["bash", "-euc", command],
-            cwd=self.workspace.folder,
-            env=self.workspace.environment | {"PATH": path},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            check=False,
-        )
-        assert process.returncode == 0, process.stdout
-        return process.stdout
+        return self.workspace.shell(command)
 
 
 def test_the_tutorial_leads_from_six_load_cells_to_the_verdict(fresh, repository):
