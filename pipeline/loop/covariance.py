@@ -60,6 +60,15 @@ class Noise:
         errors += independent * np.sqrt(np.diag(self.parts[2]))[:, None] * normal[0]
         return errors + shared * _root(self.parts[1]) @ normal[1]
 
+    @property
+    def of_draws(self) -> np.ndarray:
+        """Covariance (n, n) that `draws` have in the limit of many."""
+        scatter, shared, independent = self.factors
+        found = shared * self.parts[1] + independent * self.parts[2]
+        for places, residuals in self.residuals:
+            found[np.ix_(places, places)] += scatter * (residuals.T @ residuals) / len(residuals)
+        return found
+
 
 def noise(model: Model, point: Point, data: Data, rough: bool = False) -> Noise:
     """Noise at a point of the model, with the instruments' errors as declared.

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from pipeline.loop.covariance import LEAST_FREEDOM, Noise
 from pipeline.loop.data import Data
@@ -56,7 +57,8 @@ class Gate:
 
     `scores` (direction) are standardized, `largest` their labels' best; `threshold` is the score
     that alpha allows. `inflation` (direction) is the null variance of the raw score, which
-    exceeds 1 as the covariance is itself estimated.
+    exceeds 1 as the covariance is itself estimated; it is free of the chance of the null's draws
+    where the scores are no t statistics.
     """
 
     statistic: float
@@ -135,7 +137,8 @@ def lack_of_fit(
     matrix, side = np.array(directions), np.array(signs)
     spread, null_spread = _beyond(seen, matrix, z), _beyond(seen, matrix, null)
     raw, null_raw = matrix @ z / spread, matrix @ null / null_spread
-    inflation = null_raw.var(axis=1)
+    drawn, exact = (matrix @ null).var(axis=1), _null_variance(seen, noise, matrix)
+    inflation = null_raw.var(axis=1) * exact / drawn
     scores = _one_sided(raw / np.sqrt(inflation), side)
     null_largest = _one_sided(null_raw / np.sqrt(inflation)[:, None], side[:, None]).max(axis=0)
     largest = float(scores.max())
@@ -154,6 +157,14 @@ def lack_of_fit(
         float(omnibus_p),
         float(p_largest),
     )
+
+
+def _null_variance(seen: Projected, noise: Noise, directions: np.ndarray) -> np.ndarray:
+    """Variance (direction) of the null's scores before they are measured by the residual."""
+    inside = _without(seen.basis, directions.T)
+    readings, priors = np.split(inside, [len(noise.lower)])
+    unwhitened = solve_triangular(noise.lower, readings, lower=True, trans="T")
+    return ((noise.of_draws @ unwhitened) * unwhitened).sum(axis=0) + (priors**2).sum(axis=0)
 
 
 def _beyond(seen: Projected, directions: np.ndarray, values: np.ndarray) -> np.ndarray | float:
