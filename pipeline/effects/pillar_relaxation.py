@@ -10,9 +10,11 @@ from pipeline.lattice.cells import MOVEMENT, STAGNANT
 
 def relax(state: State, values: Values) -> State:
     """R of each movement-zone receiver by the pillars at the edges of its zone."""
+    moving = state.code == MOVEMENT
+    if not moving.any():
+        return state
     narrowness = np.maximum(_narrowness(state, axis=1), _narrowness(state, axis=2))
     divisor = 1.0 + values["width"] * narrowness / state.lattice.cell_size
-    moving = state.code == MOVEMENT
     field = np.where(moving, state.relaxation / divisor, state.relaxation).astype(np.float32)
     return replace(state, coupling=state.coupling._replace(relaxation=field))
 

@@ -88,7 +88,7 @@ def attribute(
     `inflation` is the null variance of scores: χ² counts by as much less.
     """
     tested = [h for h in hypotheses if np.any(seen.of(h))]
-    linear = [Evidence(h, _log_evidence(seen.of(h), seen.z, h, inflation), None) for h in tested]
+    linear = [Evidence(h, _best_way(seen, h, inflation)[0], None) for h in tested]
     ranked = sorted(linear, key=lambda e: -e.log_posterior)
     refitted: list[Evidence] = []
     for one in ranked[: 2 * REFITTED]:
@@ -102,6 +102,12 @@ def attribute(
     logs = np.array([math.log(PRIOR["none"]), *(e.log_posterior for e in evidence)])
     probabilities = np.exp(logs - logsumexp(logs))
     return Attribution(tuple(evidence), probabilities[1:], float(probabilities[0]))
+
+
+def _best_way(seen: Projected, hypothesis: Hypothesis, inflation: float) -> tuple[float, int]:
+    """Log evidence of the better of a hypothesis' ways, and which it is."""
+    ways = seen.ways(hypothesis)
+    return max((_log_evidence(way, seen.z, hypothesis, inflation), i) for i, way in enumerate(ways))
 
 
 def _log_evidence(columns, z, hypothesis: Hypothesis, inflation: float) -> float:
@@ -143,11 +149,14 @@ def _posterior(columns, z, hypothesis, inflation, width=1.0) -> tuple[np.ndarray
 def _refitted(model, data, noise, found, seen, hypothesis, inflation) -> Evidence:
     """Laplace's approximation at the refitted amplitudes."""
     terms = hypothesis.terms
-    amplitudes, _ = _posterior(seen.of(hypothesis), seen.z, hypothesis, inflation)
+    way = _best_way(seen, hypothesis, inflation)[1]
+    width = max(WIDTHS) if way else 1.0
+    columns = seen.ways(hypothesis)[way]
+    amplitudes, _ = _posterior(columns, seen.z, hypothesis, inflation, width)
     start = [t.described.neutral + a for t, a in zip(terms, amplitudes, strict=True)]
     bounds = [limits(term) for term in terms]
     start = [min(max(a, low), high) for a, (low, high) in zip(start, bounds, strict=True)]
-    slopes = np.hstack([found.slopes, seen.slopes_of(hypothesis)])
+    slopes = None if way else np.hstack([found.slopes, seen.slopes_of(hypothesis)])
     refit = fit(model, data, noise, found.point.with_terms(terms, start), found.reference, slopes)
     added = len(terms)
     whole = projected(model, data, noise, _first(refit, added), terms, refit.slopes[:, -added:])

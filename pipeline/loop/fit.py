@@ -16,6 +16,7 @@ FIRST_DAMPING, MOST_DAMPING = 1.0, 1e3  # in units of an unknown's usual change
 CLOSE, ROUGHLY = 3e-5, 0.01  # drop of χ² that a step must promise
 FAR = 0.3  # of an unknown's scale: from there on the slopes of another point do not serve
 MOVED = 1.0  # likewise for the covariance
+PART = 0.25  # of an amplitude that is a usual change of it, where that exceeds its scale
 OF_SCATTER = ("s.mean", "s.std")  # what a rough covariance, which knows little of it, would mislead
 REFRESHES = 2  # times that the covariance follows the fit
 AMPLITUDE_PRIOR = 100.0  # sd of an amplitude's prior in a fit, in its scale: too wide to shrink it
@@ -134,8 +135,11 @@ def fit(
 
 
 def _sizes(model: Model, point: Point) -> np.ndarray:
-    """Usual changes of all unknowns."""
-    sizes = [*(c.size for c in model.coordinates), *(t.described.scale for t in point.terms)]
+    """Usual changes of all unknowns; of an amplitude of many scales, a part of it."""
+    sizes = [c.size for c in model.coordinates]
+    for term, amplitude in zip(point.terms, point.amplitudes, strict=True):
+        p = term.described
+        sizes.append(max(p.scale, PART * abs(amplitude - p.neutral)))
     return np.array(sizes)
 
 

@@ -16,6 +16,7 @@ from pipeline.loop.model import Model, Term
 
 DRAWS = 2000
 OMNIBUS = 0.2  # of alpha for the sum of squares
+STRAIGHT = 0.98  # cosine from which a response far out points where its derivative does
 TINY = 1e-10  # of a direction's square: what is left of one that the parameters explain
 
 
@@ -26,7 +27,8 @@ class Projected:
     Vectors have the readings first, then the priors' rows. `z` (m) is the residual; `columns`
     (m, term) the derivatives by each amplitude, `unprojected` (term) their squared lengths before.
     `basis` (m, unknown) spans what was projected out. `slopes` (row, term) are the derivatives
-    themselves.
+    themselves. `far` (m, term) are the mean changes by amplitudes of many scales; the derivatives
+    where nobody looked that far.
     """
 
     z: np.ndarray
@@ -35,28 +37,40 @@ class Projected:
     columns: np.ndarray
     unprojected: np.ndarray
     basis: np.ndarray
+    far: np.ndarray
 
     def of(self, hypothesis: Hypothesis) -> np.ndarray:
         """Columns (m, term) of a hypothesis."""
-        return self.columns[:, [self.terms.index(term) for term in hypothesis.terms]]
+        return self.columns[:, self._places(hypothesis)]
+
+    def ways(self, hypothesis: Hypothesis) -> list[np.ndarray]:
+        """Columns (m, term) of a hypothesis, and those far out where they point elsewhere."""
+        near, far = self.of(hypothesis), self.far[:, self._places(hypothesis)]
+        scale = np.array([term.described.scale for term in hypothesis.terms])
+        one, other = near @ scale, far @ scale
+        size = float(np.linalg.norm(one) * np.linalg.norm(other))
+        return [near] if one @ other >= STRAIGHT * size else [near, far]
 
     def slopes_of(self, hypothesis: Hypothesis) -> np.ndarray:
         """Derivatives (row, term) of the model's rows."""
-        return self.slopes[:, [self.terms.index(term) for term in hypothesis.terms]]
+        return self.slopes[:, self._places(hypothesis)]
 
     def survives(self, hypothesis: Hypothesis) -> float:
         """Part of a hypothesis' signal, for all its amplitudes alike, that calibration leaves."""
-        places = [self.terms.index(term) for term in hypothesis.terms]
+        places = self._places(hypothesis)
         before = float(self.unprojected[places].sum())
         return float((self.columns[:, places] ** 2).sum()) / before if before > 0.0 else 0.0
+
+    def _places(self, hypothesis: Hypothesis) -> list[int]:
+        return [self.terms.index(term) for term in hypothesis.terms]
 
 
 @dataclass(frozen=True)
 class Gate:
     """Outcome of the lack-of-fit test.
 
-    `scores` (direction) are standardized, `largest` their labels' best; `threshold` is the score
-    that alpha allows. `inflation` (direction) is the null variance of the raw score, which
+    `scores` (hypothesis) are standardized, `statistic` is the largest; `threshold` is the score
+    that alpha allows. `inflation` (hypothesis) is the null variance of the raw score, which
     exceeds 1 as the covariance is itself estimated; it is free of the chance of the null's draws
     where the scores are no t statistics.
     """
@@ -84,20 +98,34 @@ class Gate:
 
 
 def projected(
-    model: Model, data: Data, noise: Noise, found: Fit, terms: Sequence[Term], slopes: np.ndarray
+    model: Model,
+    data: Data,
+    noise: Noise,
+    found: Fit,
+    terms: Sequence[Term],
+    slopes: np.ndarray,
+    chords: np.ndarray | None = None,
 ) -> Projected:
-    """`slopes` (row, term) are derivatives of the model's rows by `terms`."""
+    """`slopes` (row, term) are derivatives of the model's rows by `terms`, `chords` as `far`."""
     point = found.point
     center, sd, _, _ = box(model, point)
     at = np.array([*point.coordinates, *point.amplitudes])
     basis = np.vstack([noise.whitened(found.slopes[data.use]), np.diag(1.0 / sd)])
     basis = np.linalg.qr(basis)[0] if basis.shape[1] else basis
     z = np.concatenate([noise.whitened(found.residual), (center - at) / sd])
-    whole = np.vstack([noise.whitened(slopes[data.use]), np.zeros((len(sd), len(terms)))])
+    before, columns = _columns(data, noise, basis, slopes)
+    far = columns if chords is None else _columns(data, noise, basis, chords)[1]
+    return Projected(_without(basis, z), tuple(terms), slopes, columns, before, basis, far)
+
+
+def _columns(data: Data, noise: Noise, basis: np.ndarray, slopes: np.ndarray):
+    """Whitened squares (term) of derivatives (row, term), and what calibration leaves (m, term)."""
+    of_readings = noise.whitened(slopes[data.use])
+    whole = np.vstack([of_readings, np.zeros((len(basis) - len(of_readings), slopes.shape[1]))])
     before = (whole**2).sum(axis=0)
     columns = _without(basis, whole)
     columns[:, (columns**2).sum(axis=0) <= TINY * before] = 0.0
-    return Projected(_without(basis, z), tuple(terms), slopes, columns, before, basis)
+    return before, columns
 
 
 def lack_of_fit(
@@ -110,18 +138,20 @@ def lack_of_fit(
     """Joint maximum over the score statistics of all hypotheses, with a part for |z|².
 
     A hypothesis with several amplitudes enters with all of them alike; each of them is one of the
-    others. Scores on the side that physics excludes count nothing. Where enough degrees of freedom
-    are beyond all hypotheses, scores are measured by the residual there, as a t statistic is.
+    others. One that points elsewhere far out enters that way too, with the larger score. Scores on
+    the side that physics excludes count nothing. Where enough degrees of freedom are beyond all
+    hypotheses, scores are measured by the residual there, as a t statistic is.
     """
     directions, signs, labels = [], [], []
     for hypothesis in hypotheses:
         scale = np.array([term.described.scale for term in hypothesis.terms])
-        direction = seen.of(hypothesis) @ scale
-        size = np.linalg.norm(direction)
-        if size > 1e-6:
-            directions.append(direction / size)
-            signs.append(hypothesis.terms[0].described.sign)
-            labels.append(hypothesis.label)
+        for columns in seen.ways(hypothesis):
+            direction = columns @ scale
+            size = np.linalg.norm(direction)
+            if size > 1e-6:
+                directions.append(direction / size)
+                signs.append(hypothesis.terms[0].described.sign)
+                labels.append(hypothesis.label)
     z = seen.z
     errors = noise.draws(DRAWS, random)
     null = np.vstack(
@@ -145,13 +175,18 @@ def lack_of_fit(
     p_largest = (1.0 + np.sum(null_largest >= largest)) / (DRAWS + 1.0)
     p = min(1.0, p_largest / (1.0 - OMNIBUS), omnibus_p / OMNIBUS)
     threshold = float(np.quantile(null_largest, 1.0 - alpha * (1.0 - OMNIBUS)))
+    best: dict[str, int] = {}  # of each label's directions
+    for place, label in enumerate(labels):
+        if scores[place] > scores[best.setdefault(label, place)]:
+            best[label] = place
+    kept = list(best.values())
     return Gate(
         largest,
         float(p),
         alpha,
-        tuple(labels),
-        scores,
-        inflation,
+        tuple(best),
+        scores[kept],
+        inflation[kept],
         threshold,
         omnibus,
         float(omnibus_p),

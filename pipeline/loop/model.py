@@ -37,6 +37,7 @@ CHUNK = 16  # replicates of a task
 PRIOR_SD = {"E": 100.0, "s.std": 1.0, "s.mean": 4.0, "R": 0.6, "E_min": 2.0}
 SIZE = {"s.std": 0.5, "s.mean": 2.0, "R": 0.3, "exponent": 0.5}
 STEP, FLOW_STEP = 0.02, 0.25  # of differences, in a coordinate's scale
+FAR_STEP = 8.0  # of an amplitude's scale: where what saturates has done so
 
 
 @dataclass(frozen=True)
@@ -474,6 +475,18 @@ class Model:
         """
         moves = [self._ends_of_coordinate(point, j, steps) for j in range(len(self.coordinates))]
         moves += [self._ends_of_term(point, term, steps) for term in terms]
+        whole = self._differences(moves)
+        return whole[:, : len(self.coordinates)], whole[:, len(self.coordinates) :]
+
+    def chords(self, point: Point, terms: Sequence[Term]) -> np.ndarray:
+        """Mean change (row, term) of `mean` by terms, out to `FAR_STEP` of their scales.
+
+        What saturates points elsewhere there than its derivative does.
+        """
+        return self._differences([self._ends_of_term(point, term, FAR_STEP) for term in terms])
+
+    def _differences(self, moves: Sequence[tuple]) -> np.ndarray:
+        """Differences (row, move) of `mean` between the ends of each move, by its length."""
         self.prepare((end, flow_at) for ends in moves for end, _, flow_at in ends)
         columns = []
         for (above, up, flow_up), (below, down, flow_down) in moves:
@@ -481,8 +494,7 @@ class Model:
             columns.append(difference / (up - down))
             if not self._is_clear(above, flow_up, below, flow_down):
                 columns[-1] = np.zeros(len(self.rows))
-        whole = np.column_stack(columns) if columns else np.zeros((len(self.rows), 0))
-        return whole[:, : len(self.coordinates)], whole[:, len(self.coordinates) :]
+        return np.column_stack(columns) if columns else np.zeros((len(self.rows), 0))
 
     def _is_clear(self, above: Point, flow_above, below: Point, flow_below) -> bool:
         """Whether two points differ by more than a few replicates' chance.
@@ -547,6 +559,13 @@ class Model:
         each = (slopes / values).mean(axis=0)
         whole = slopes.mean(axis=0) / values.mean(axis=0)
         return whole + share * (each - whole)
+
+
+def has_chord(term: Term) -> bool:
+    """Whether a term may go as far to one side as `Model.chords` looks, and to no other."""
+    low, high = limits(term)
+    p = term.described
+    return p.neutral == low and high - low > FAR_STEP * p.scale
 
 
 def limits(term: Term) -> tuple[float, float]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,10 +18,12 @@ from pipeline.loop.fit import Fit, calibrated, fit, posterior_covariance
 from pipeline.loop.gate import Gate, Projected, lack_of_fit, projected
 from pipeline.loop.hypotheses import Hypothesis, catalogue, rules, terms_of
 from pipeline.loop.local_rules import rule_slopes
-from pipeline.loop.model import Model, Point, Term
+from pipeline.loop.model import Model, Point, Term, has_chord
 from pipeline.montecarlo.streams import LOOP_NULL, random_stream
 
 log = logging.getLogger(__name__)
+
+ENOUGH = math.log(SURE / (1.0 - SURE))  # log evidence of a key that is named with others
 
 
 @dataclass(frozen=True)
@@ -106,11 +110,11 @@ def close(
 
 
 def _idle(hypothesis: Hypothesis, found: Fit, covariance: np.ndarray) -> list[Term]:
-    """Terms of the keys of an addition that have no evidence of their own; [] if none has."""
+    """Terms of the keys of an addition with too little evidence of their own; [] if all have."""
     keys: dict[str | None, list[Term]] = {}
     for term in hypothesis.terms:
         keys.setdefault(term.key, []).append(term)
-    idle = [terms for terms in keys.values() if _log_evidence(terms, found, covariance) < 0.0]
+    idle = [terms for terms in keys.values() if _log_evidence(terms, found, covariance) < ENOUGH]
     return [term for terms in idle for term in terms] if len(idle) < len(keys) else []
 
 
@@ -149,16 +153,19 @@ def turn(
     by_effect = [h for h in hypotheses if h.kind != "rule"]
     by_rule = [h for h in hypotheses if h.kind == "rule"]
     terms = terms_of(by_effect)
-    slopes = _slopes(model, found.point, terms)
+    slopes = _by_key(terms, lambda single: model.jacobian(found.point, single)[1])
     if by_rule:
         slopes = np.hstack([slopes, rule_slopes(model, found.point, by_rule)])
         terms = [*terms, *terms_of(by_rule)]
+    far = [i for i, term in enumerate(terms) if has_chord(term)]
+    chords = slopes.copy()
+    chords[:, far] = _by_key([terms[i] for i in far], partial(model.chords, found.point))
     declared = noise.scaled((1.0, 1.0, 1.0))
     explained = np.hstack([found.slopes, slopes])[data.use]
     factors, freedom = restricted_likelihood_factors(declared, found.residual, explained)
     noise = declared.scaled(factors)
     found = fit(model, data, noise, found.point, found.reference, found.slopes)
-    seen = projected(model, data, noise, found, terms, slopes)
+    seen = projected(model, data, noise, found, terms, slopes, chords)
     random = random_stream(0, study.name, LOOP_NULL, number)
     gate = lack_of_fit(seen, noise, hypotheses, alpha, random)
     found_out = None
@@ -178,19 +185,19 @@ def _is_there(term: Term, point: Point) -> bool:
     )
 
 
-def _slopes(model: Model, point: Point, terms: Sequence[Term]) -> np.ndarray:
-    """Derivatives (row, term); a value that keys share moves what they move together."""
+def _by_key(terms: Sequence[Term], columns: Callable[[Sequence[Term]], np.ndarray]) -> np.ndarray:
+    """Columns (row, term) of all terms; a value that keys share moves what they move together."""
     keys: dict[tuple[str, str], list[Term]] = {}
     for term in terms:
         if term.key is not None:
             keys.setdefault((term.effect, term.parameter), []).append(term)
     single = [t for t in terms if t.key is not None or (t.effect, t.parameter) not in keys]
-    _, slopes = model.jacobian(point, single)
-    column = dict(zip(single, slopes.T, strict=True))
+    found = columns(single)
+    column = dict(zip(single, found.T, strict=True))
     for term in terms:
         if term not in column:
             column[term] = sum(column[t] for t in keys[term.effect, term.parameter])
-    return np.column_stack([column[t] for t in terms]) if terms else slopes
+    return np.column_stack([column[t] for t in terms]) if terms else found
 
 
 def _verdict(last: Round, added: Sequence[Evidence]) -> str:

@@ -104,6 +104,7 @@ def test_drawn_errors_have_the_parts_covariance():
     size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     # 6 standard errors of a correlation: one false alarm in 10⁷ tests of 78 entries
     np.testing.assert_allclose(np.cov(draws) / size, expected / size, atol=6 / np.sqrt(40_000))
+    np.testing.assert_allclose(made.of_draws, expected, atol=1e-12)
 
 
 def test_drawn_scatter_comes_from_the_replicates_whole():
@@ -112,6 +113,7 @@ def test_drawn_scatter_comes_from_the_replicates_whole():
     alone = replace(
         made, parts=tuple(0.0 * part for part in made.parts), residuals=((np.arange(1, 5), rows),)
     )
+    np.testing.assert_allclose(alone.of_draws[1:5, 1:5], rows.T @ rows / 5, rtol=1e-12)
     draws = alone.draws(50, np.random.default_rng(2))
     assert not draws[[0, 5]].any()
     for column in draws[1:5].T:

@@ -13,7 +13,7 @@ from pipeline.loop.documents import candidates_document
 from pipeline.loop.fit import Fit, calibrated, posterior_covariance
 from pipeline.loop.gate import lack_of_fit, projected
 from pipeline.loop.hypotheses import PRIOR, Hypothesis, catalogue, rules, untried
-from pipeline.loop.model import Term
+from pipeline.loop.model import FAR_STEP, Term, has_chord
 from pipeline.loop.rounds import _idle, _spoken_for_no_more, close
 from pipeline.loop.steps import attribution, residual
 
@@ -134,6 +134,41 @@ def test_the_sum_of_squares_finds_what_no_hypothesis_does(one):
     assert gate.rejected
     assert gate.p_value == gate.omnibus_p_value
     assert gate.labels == ()
+
+
+def test_what_saturates_is_found_by_where_it_points_far_out(one):
+    """Far out a hypothesis points to where no derivative does: only a look that far sees it."""
+    label = "wall_friction [gravel]"
+    place = one.seen.terms.index(named(one, label).terms[0])
+    random = np.random.default_rng(8)
+    beyond = random.standard_normal(len(one.seen.z))
+    for taken in (one.seen.basis, np.linalg.svd(one.seen.columns, full_matrices=False)[0][:, :2]):
+        beyond -= taken @ (taken.T @ beyond)
+    beyond /= np.linalg.norm(beyond)
+    far = one.seen.columns.copy()
+    far[:, place] = beyond
+    straight = gate_of(one, replace(one.seen, z=8.0 * beyond, far=one.seen.columns), 1)
+    bent = gate_of(one, replace(one.seen, z=8.0 * beyond, far=far), 1)
+    assert bent.labels == straight.labels
+    number = bent.labels.index(label)
+    assert bent.scores[number] == pytest.approx(8.0, rel=0.2)
+    assert straight.scores[number] < bent.scores[number]
+    others = [i for i, name in enumerate(bent.labels) if not name.startswith("wall_friction")]
+    np.testing.assert_allclose(bent.scores[others], straight.scores[others], rtol=1e-9)
+
+
+def test_chords_reach_far_out_and_only_on_the_side_that_physics_leaves(problem, one):
+    model, point = problem.model, one.fit.point
+    terms = {t.label: t for t in one.seen.terms}
+    assert not has_chord(terms["tilt.angle_x"])
+    assert not has_chord(terms["density_misdeclared.factor [gravel]"])
+    term = terms["wall_friction.K [gravel]"]
+    assert has_chord(term)
+    (column,) = model.chords(point, [term]).T
+    end = FAR_STEP * term.described.scale
+    change = model.mean(point.with_terms([term], [end]), point) - model.mean(point)
+    np.testing.assert_allclose(column, change / end, rtol=1e-12)
+    assert len(one.seen.ways(named(one, "tilt angle_x"))) == 1
 
 
 def test_projection_leaves_nothing_of_the_parameters(problem, one):
@@ -324,10 +359,10 @@ def test_keys_of_an_addition_without_evidence_of_their_own_are_no_part_of_it(wal
         fit = Fit(point, point, nothing, nothing, nothing, nothing, 0.0)
         return _idle(both, fit, covariance)
 
-    # 0.5 a² against 0.5 log(1 + (τ / sd)²): even at 2.15 standard deviations
-    assert idle(10.0, 2.0) == [terms[1]]
-    assert idle(10.0, 2.3) == []
-    assert idle(0.0, 2.3) == [terms[0]]
+    # 0.5 a² against 0.5 log(1 + (τ / sd)²): nine to one at 3.0 standard deviations
+    assert idle(10.0, 2.9) == [terms[1]]
+    assert idle(10.0, 3.1) == []
+    assert idle(0.0, 3.1) == [terms[0]]
     assert idle(1.0, 1.0) == []
     left = both.without([terms[1]])
     assert (left.terms, left.key, left.label) == (terms[:1], "a", "surcharge [a]")
