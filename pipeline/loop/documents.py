@@ -88,7 +88,7 @@ def effects_document(model: Model, outcome: Outcome, sd: np.ndarray) -> list[dic
     point = outcome.fit.point
     count = len(point.coordinates)
     document = []
-    for evidence, probability in zip(outcome.added, outcome.sure, strict=True):
+    for evidence, probabilities in zip(outcome.added, outcome.sure, strict=True):
         found_in = (
             one.attribution is not None
             and any(evidence.refit is other.refit for other in one.attribution.evidence)
@@ -108,7 +108,7 @@ def effects_document(model: Model, outcome: Outcome, sd: np.ndarray) -> list[dic
                     "scope_key": term.key,
                     "parameters": {},
                     "options": dict(term.options),
-                    "probability": probability,
+                    "probability": probabilities[term.key],
                     "round": number + 1,
                 },
             )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.special import expit
 
 from pipeline.config.study import Study
 from pipeline.loop.attribution import SURE, Attribution, Evidence, attribute
@@ -22,8 +22,6 @@ from pipeline.loop.model import Model, Point, Term, has_chord
 from pipeline.montecarlo.streams import LOOP_NULL, random_stream
 
 log = logging.getLogger(__name__)
-
-ENOUGH = math.log(SURE / (1.0 - SURE))  # log evidence of a key that is named with others
 
 
 @dataclass(frozen=True)
@@ -51,14 +49,16 @@ class Round:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the loop did: its rounds, and the hypotheses that it added, with their names' posterior.
+    """What the loop did: its rounds, and the hypotheses that it added.
 
-    `dropped` are labels of those that the backward check took out again.
+    `sure` has for each of these the probability of its keys: its name's posterior, and where
+    several keys were added at once times that of the key, whose odds were even. `dropped` are
+    labels of those that the backward check took out again.
     """
 
     rounds: tuple[Round, ...]
     added: tuple[Evidence, ...]
-    sure: tuple[float, ...]
+    sure: tuple[dict[str | None, float], ...]
     dropped: tuple[str, ...]
     verdict: str
 
@@ -75,7 +75,7 @@ def close(
     model = model.only(data.use)
     rounds: list[Round] = []
     added: list[Evidence] = []
-    sure: list[float] = []
+    sure: list[dict[str | None, float]] = []
     dropped: list[str] = []
     found, here = begin or calibrated(model, data, model.start)
     while True:
@@ -91,15 +91,15 @@ def close(
         probability = one.attribution.by_name[named.hypothesis.name]
         if probability < SURE or named.refit is None or not one.gate.points_somewhere:
             break
-        added.append(named)
-        sure.append(probability)
         factors = one.noise.factors
         found, here = calibrated(model, data, named.refit.point, factors, settled=True)
         covariance = posterior_covariance(model, data, found, here)
         if idle := _idle(named.hypothesis, found, covariance):
-            added[-1] = replace(named, hypothesis=named.hypothesis.without(idle))
+            named = replace(named, hypothesis=named.hypothesis.without(idle))
             found, here = calibrated(model, data, found.point.without(idle), factors, settled=True)
             covariance = posterior_covariance(model, data, found, here)
+        added.append(named)
+        sure.append(_of_keys(probability, named.hypothesis, found, covariance))
         for number in _spoken_for_no_more(found, covariance, added):
             dropped.append(added[number].hypothesis.label)
             terms = added.pop(number).hypothesis.terms
@@ -110,12 +110,26 @@ def close(
 
 
 def _idle(hypothesis: Hypothesis, found: Fit, covariance: np.ndarray) -> list[Term]:
-    """Terms of the keys of an addition with too little evidence of their own; [] if all have."""
+    """Terms of the keys of an addition that have no evidence of their own; [] if none has."""
+    own = _own_evidence(hypothesis, found, covariance)
+    idle = [key for key, evidence in own.items() if evidence < 0.0]
+    return [t for t in hypothesis.terms if t.key in idle] if len(idle) < len(own) else []
+
+
+def _of_keys(probability: float, hypothesis: Hypothesis, found: Fit, covariance: np.ndarray):
+    """Probability of each key of an addition whose name has `probability`, see `Outcome`."""
+    own = _own_evidence(hypothesis, found, covariance)
+    if len(own) == 1:
+        return dict.fromkeys(own, probability)
+    return {key: probability * float(expit(evidence)) for key, evidence in own.items()}
+
+
+def _own_evidence(hypothesis: Hypothesis, found: Fit, covariance: np.ndarray):
+    """Log evidence by key of a hypothesis, given its other keys."""
     keys: dict[str | None, list[Term]] = {}
     for term in hypothesis.terms:
         keys.setdefault(term.key, []).append(term)
-    idle = [terms for terms in keys.values() if _log_evidence(terms, found, covariance) < ENOUGH]
-    return [term for terms in idle for term in terms] if len(idle) < len(keys) else []
+    return {key: _log_evidence(terms, found, covariance) for key, terms in keys.items()}
 
 
 def _spoken_for_no_more(found: Fit, covariance: np.ndarray, added: Sequence[Evidence]) -> list[int]:

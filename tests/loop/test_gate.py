@@ -14,7 +14,7 @@ from pipeline.loop.fit import Fit, calibrated, posterior_covariance
 from pipeline.loop.gate import lack_of_fit, projected
 from pipeline.loop.hypotheses import PRIOR, Hypothesis, catalogue, rules, untried
 from pipeline.loop.model import FAR_STEP, Term, has_chord
-from pipeline.loop.rounds import _idle, _spoken_for_no_more, close
+from pipeline.loop.rounds import _idle, _of_keys, _spoken_for_no_more, close
 from pipeline.loop.steps import attribution, residual
 
 ALPHA = 0.1
@@ -353,16 +353,23 @@ def test_keys_of_an_addition_without_evidence_of_their_own_are_no_part_of_it(wal
     sd = 0.1 * tau
     covariance = np.diag([*np.ones(len(model.coordinates)), sd**2, sd**2])
 
-    def idle(*amplitudes):
+    def fitted(*amplitudes):
         point = model.start.with_terms(terms, [one * sd for one in amplitudes])
         nothing = np.zeros(0)
-        fit = Fit(point, point, nothing, nothing, nothing, nothing, 0.0)
-        return _idle(both, fit, covariance)
+        return Fit(point, point, nothing, nothing, nothing, nothing, 0.0)
 
-    # 0.5 a² against 0.5 log(1 + (τ / sd)²): nine to one at 3.0 standard deviations
-    assert idle(10.0, 2.9) == [terms[1]]
-    assert idle(10.0, 3.1) == []
-    assert idle(0.0, 3.1) == [terms[0]]
+    def idle(*amplitudes):
+        return _idle(both, fitted(*amplitudes), covariance)
+
+    # 0.5 a² against 0.5 log(1 + (τ / sd)²): even at 2.15 standard deviations
+    assert idle(10.0, 2.0) == [terms[1]]
+    assert idle(10.0, 2.3) == []
+    assert idle(0.0, 2.3) == [terms[0]]
     assert idle(1.0, 1.0) == []
+    # nine to one at 3.0 standard deviations; the name's own probability counts too
+    sure = _of_keys(0.99, both, fitted(10.0, 2.9), covariance)
+    assert sure["a"] == pytest.approx(0.99)
+    assert 0.5 < sure["b"] < 0.9 < _of_keys(0.99, both, fitted(10.0, 3.1), covariance)["b"]
     left = both.without([terms[1]])
     assert (left.terms, left.key, left.label) == (terms[:1], "a", "surcharge [a]")
+    assert _of_keys(0.95, left, fitted(10.0, 1.0), covariance) == {"a": 0.95}
