@@ -25,6 +25,7 @@ from pipeline.effects import as_filled
 from pipeline.files.netcdf import write_dataset
 from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.fields import FieldSums
+from pipeline.montecarlo.parts import stack
 from pipeline.montecarlo.replicates import replicates_dataset
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.parameters import Parameters, declared_parameters
@@ -107,7 +108,7 @@ def time_stages(experiment: Experiment, parameters: Parameters) -> dict[str, Any
     sums.count = 1
     with tempfile.TemporaryDirectory() as folder:
         for name, dataset in (
-            ("replicates", replicates_dataset(setup, [readings])),
+            ("replicates", replicates_dataset(setup, stack([readings]))),
             ("fields", sums.finalise()),
         ):
             path = Path(folder) / f"{name}.nc"

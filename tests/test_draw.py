@@ -96,7 +96,8 @@ def test_stress_falls_in_the_movement_zone_and_rises_beside_it(drawn):
     experiment = drawn(replicates=12)
     setup = make_setup(experiment, build_block_model(experiment))
     readings, _ = run_replicates(setup, declared_parameters(experiment), 12, fields=False)
-    ratio = np.mean([r.vertical_stress[-1] / r.vertical_stress[0] for r in readings], axis=0)
+    stress = readings["vertical_stress"].values
+    ratio = (stress[:, -1] / stress[:, 0]).mean(axis=0)
     beside, above = ratio
     assert above < 0.9
     assert beside > above
@@ -122,7 +123,7 @@ def test_a_mirrored_layout_gives_mirrored_statistics(drawn):
         )
         setup = make_setup(experiment, build_block_model(experiment))
         readings, _ = run_replicates(setup, declared_parameters(experiment), 30, fields=False)
-        return np.array([r.vertical_stress[-1] for r in readings])
+        return readings["vertical_stress"].values[:, -1]
 
     one, other = ends(False), ends(True)
     error = np.sqrt((one.var(axis=0, ddof=1) + other.var(axis=0, ddof=1)) / 30)

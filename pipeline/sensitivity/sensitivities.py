@@ -20,7 +20,7 @@ from pipeline.effects import Active, State, apply, lacking, ordered
 from pipeline.lattice.adjoint import Influence
 from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import MOVEMENT, STAGNANT
-from pipeline.montecarlo.replicates import replicates_dataset, run_replicates
+from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, random_stream
 from pipeline.montecarlo.workers import Execution, run_tasks
 from pipeline.observe import GEOMETRY, simulated_rows
@@ -226,10 +226,10 @@ def _dataset(case, simulated, columns) -> xr.Dataset:
 
 
 class _Evaluation(NamedTuple):
-    """Rows (replicate, row), and the cells that each replicate drew, in order."""
+    """Rows (replicate, row), and the cells (replicate, extraction) that were drawn, in order."""
 
     values: np.ndarray
-    drawn: list[np.ndarray]
+    drawn: np.ndarray
 
 
 class _Model:
@@ -255,11 +255,10 @@ class _Model:
 
     def _run(self, parameters, effects, count) -> _Evaluation:
         setup = self.with_effects(effects)
-        readings, _ = run_replicates(
+        dataset, _ = run_replicates(
             setup, parameters, count, self.execution, self.purposes, fields=False
         )
-        dataset = replicates_dataset(setup, readings)
-        drawn = [one.drawn_cell for one in readings] if setup.masses else []
+        drawn = dataset["drawn_cell"].values if setup.masses else np.zeros(0)
         return _Evaluation(simulated_rows(setup.experiment, dataset, self.case.rows), drawn)
 
     def with_effects(self, effects: tuple[Active, ...]) -> Setup:
@@ -375,7 +374,7 @@ class _Stencil:
     def draws_otherwise(self) -> bool:
         """Whether other cells are drawn at the two ends of the step."""
         one, other = (self._end(end * self.step).drawn for end in self._ends)
-        return not all(map(np.array_equal, one, other))
+        return not np.array_equal(one, other)
 
 
 def _differences(model: _Model, direction: _Direction, scale: float, count: int) -> _Column:

@@ -12,7 +12,7 @@ from pipeline.config.measured import MeasuredRow
 from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.grid import GRAVITY
 from pipeline.lattice.stress import closed_form_stress
-from pipeline.montecarlo.replicates import replicates_dataset, run_replicates
+from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING
 from pipeline.observe import row_covariance, simulated_rows
 from pipeline.parameters import Parameters, declared_parameters
@@ -53,8 +53,8 @@ def fit(experiment, rows):
 def simulated(experiment, rows, parameters, count, **purposes):
     """Rows (replicate, row), on streams apart from those of the calibration unless asked."""
     setup = setup_of(experiment, rows)
-    readings, _ = run_replicates(setup, parameters, count, fields=False, **purposes)
-    return simulated_rows(experiment, replicates_dataset(setup, readings), rows)
+    dataset, _ = run_replicates(setup, parameters, count, fields=False, **purposes)
+    return simulated_rows(experiment, dataset, rows)
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from pipeline.config.experiment import Experiment
 from pipeline.config.load import check_measured, load_experiments
 from pipeline.effects import Active, effects
 from pipeline.lattice.block_model import build_block_model
+from pipeline.montecarlo.parts import stack
 from pipeline.montecarlo.replicates import replicates_dataset
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, random_stream
 from pipeline.observe import STRESS, simulated_rows
@@ -58,9 +59,8 @@ class Case:
                 for purpose in (CALIBRATION_PACKING, CALIBRATION_FLOW)
             )
             readings.append(simulate(setup, parameters, packing, flow))
-        return simulated_rows(self.experiment, replicates_dataset(setup, readings), self.rows).mean(
-            axis=0
-        )
+        dataset = replicates_dataset(setup, stack(readings))
+        return simulated_rows(self.experiment, dataset, self.rows).mean(axis=0)
 
 
 def on(name: str, **values) -> Active:

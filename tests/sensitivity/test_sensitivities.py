@@ -12,7 +12,7 @@ from pipeline.config.measured import MeasuredRow
 from pipeline.effects import Active, Effect, Parameter
 from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import MOVEMENT, STAGNANT
-from pipeline.montecarlo.replicates import replicates_dataset, run_replicates
+from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, random_stream
 from pipeline.montecarlo.workers import Execution
 from pipeline.observe import simulated_rows
@@ -96,10 +96,9 @@ def simulated(case, parameters=None, count=COUNT, effects=None) -> np.ndarray:
         model = build_block_model(setup.experiment)
         setup = make_setup(setup.experiment, model, case.rows, np.float64, effects)
     purposes = (CALIBRATION_PACKING, CALIBRATION_FLOW)
-    readings, _ = run_replicates(
+    dataset, _ = run_replicates(
         setup, parameters or case.parameters, count, Execution(), purposes, fields=False
     )
-    dataset = replicates_dataset(setup, readings)
     return simulated_rows(setup.experiment, dataset, case.rows).mean(axis=0)
 
 

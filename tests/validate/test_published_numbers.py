@@ -29,9 +29,9 @@ def simulated(published):
         setup = make_setup(experiment, build_block_model(experiment))
         parameters = declared_parameters(experiment)
         readings, _ = run_replicates(setup, parameters, REPLICATES, Execution(2), fields=False)
-        return (
-            np.array([r.base_vertical_stress[-1] for r in readings]),
-            np.array([r.base_vertical_stress_std[-1] for r in readings]),
+        return tuple(
+            readings[name].values[:, -1]
+            for name in ("base_vertical_stress", "base_vertical_stress_std")
         )
 
     return run
