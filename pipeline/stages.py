@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pipeline.benchmark import cube, describe_machine
+from pipeline.benchmark.figures import describe_machine
+from pipeline.benchmark.lattices import cube
 from pipeline.calibrate.calibration import calibrate
 from pipeline.config.experiment import Experiment
 from pipeline.config.load import check_measured, load_experiment, load_experiments, sources
