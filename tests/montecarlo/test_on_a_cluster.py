@@ -142,7 +142,7 @@ def test_a_scheduler_that_does_not_answer_is_named(address, monkeypatch):
 def test_workers_with_other_code_are_refused(column, tmp_path, run, repository):
     code = tmp_path / "code" / "pipeline"
     shutil.copytree(repository / "pipeline", code, ignore=shutil.ignore_patterns("__pycache__"))
-    with open(code / "simulate.py", "a") as file:
+    with open(code / "simulate" / "__init__.py", "a") as file:
         file.write("\nGRAVITY = 9.8\n")
     experiment = column(replicates=2)
     setup = make_setup(experiment, build_block_model(experiment))
