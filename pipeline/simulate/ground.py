@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -59,8 +60,7 @@ class Ground:
         self.dtype = setup.cell_weight.dtype
         self.cells = pack(setup, parameters, packing)
         shape = setup.code.shape
-        self._s = parameters.s_mean + parameters.s_std * rank_normals()
-        weights = np.column_stack(spreading_weights(self._s, self._rule, self.dtype))
+        self._s, weights = _by_rank(parameters.s_mean, parameters.s_std, self._rule, self.dtype)
         self._ranked = Ranked(draw_ranks(packing, shape), weights)
         shed = self.cells.shed_fraction
         shed = np.reshape(shed, shape if np.ndim(shed) else (1, 1, 1))
@@ -169,6 +169,13 @@ class Ground:
             **cells._asdict(),
         )
         return apply(self._setup.effects, "state", state)
+
+
+@lru_cache(maxsize=16)
+def _by_rank(mean: float, std: float, rule: str, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
+    """s (rank) and its edge and corner weights (rank, 2): the same for many replicates."""
+    s = mean + std * rank_normals()
+    return s, np.column_stack(spreading_weights(s, rule, dtype))
 
 
 def _blocks(shape: tuple[int, int, int]) -> Iterator[tuple[slice, slice]]:
