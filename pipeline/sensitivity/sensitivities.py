@@ -14,8 +14,9 @@ import xarray as xr
 from pipeline import effects as catalogue
 from pipeline.calibrate.calibration import SCALES
 from pipeline.config.effects import NOT_MEASURED
-from pipeline.config.experiment import DRAW_PARAMETERS, EMinTable
+from pipeline.config.experiment import DRAW_PARAMETERS
 from pipeline.config.measured import QUANTITIES, MeasuredRow
+from pipeline.config.stress import EMinTable
 from pipeline.effects import Active, State, apply, lacking, ordered
 from pipeline.lattice.adjoint import Influence
 from pipeline.lattice.block_model import build_block_model

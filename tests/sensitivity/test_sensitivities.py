@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pipeline import effects as catalogue
-from pipeline.config.experiment import EMinPower, EMinTable
 from pipeline.config.measured import MeasuredRow
+from pipeline.config.stress import EMinPower, EMinTable
 from pipeline.effects import Active, Effect, Parameter
 from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import MOVEMENT, STAGNANT
