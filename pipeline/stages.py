@@ -28,7 +28,7 @@ from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.fields import FieldSums
 from pipeline.montecarlo.parts import stack
 from pipeline.montecarlo.replicates import replicates_dataset
-from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
+from pipeline.montecarlo.streams import replicate_streams
 from pipeline.parameters import Parameters, declared_parameters
 from pipeline.simulate import FlowRecord, Snapshot, make_setup, record_flow, simulate
 
@@ -88,11 +88,8 @@ def time_stages(experiment: Experiment, parameters: Parameters) -> dict[str, Any
     setup = make_setup(experiment, model, check_measured(experiment))
     del model
 
-    def stream(purpose):
-        return random_stream(experiment.seed, experiment.name, purpose, 0)
-
     watch.enter("flow")
-    flow = record_flow(setup, parameters, stream(PACKING), stream(FLOW))
+    flow = record_flow(setup, parameters, *replicate_streams(experiment, 0))
     watch.enter("reading")
     sums = FieldSums.empty(setup)
 
@@ -103,7 +100,8 @@ def time_stages(experiment: Experiment, parameters: Parameters) -> dict[str, Any
 
     watch.enter("s")
     timed = _TimedFlow(flow.snapshots, flow.totals, watch)
-    readings = simulate(setup, parameters, stream(PACKING), timed, observe)
+    packing, _ = replicate_streams(experiment, 0)
+    readings = simulate(setup, parameters, packing, timed, observe)
     watch.enter("output")
     del flow, timed
     sums.count = 1

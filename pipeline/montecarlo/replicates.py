@@ -18,7 +18,7 @@ from pipeline.montecarlo.checkpoints import Checkpoints, Shelf
 from pipeline.montecarlo.fields import FieldSums
 from pipeline.montecarlo.parts import DIMS, Collected, Part, stack
 from pipeline.montecarlo.progress import Progress
-from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
+from pipeline.montecarlo.streams import FLOW, PACKING, replicate_streams
 from pipeline.montecarlo.workers import Crew, Execution, crew, pieces
 from pipeline.parameters import Parameters
 from pipeline.simulate import Setup, load_cells, simulate
@@ -252,17 +252,13 @@ def run_part(run: Run, first: int, last: int) -> Part:
     """Replicates `first` … `last` − 1; the sums go without the setup, which the caller has."""
     start = time.perf_counter()
     sums = FieldSums.empty(run.setup) if run.fields else None
-    experiment = run.setup.experiment
     replicates = []
     for replicate in range(first, last):
-        packing, flow = (
-            random_stream(experiment.seed, experiment.name, purpose, replicate)
-            for purpose in run.purposes
-        )
+        streams = replicate_streams(run.setup.experiment, replicate, run.purposes)
         observe = None
         if sums is not None:
             observe = sums.observe if replicate else sums.observe_first
-        replicates.append(simulate(*run.of(replicate), packing, flow, observe))
+        replicates.append(simulate(*run.of(replicate), *streams, observe))
     if sums is not None:
         sums.count, sums.setup = last - first, None
     return Part(first, last, stack(replicates), sums, time.perf_counter() - start)

@@ -22,7 +22,7 @@ from pipeline.lattice.adjoint import Influence
 from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import MOVEMENT, STAGNANT
 from pipeline.montecarlo.replicates import run_replicates
-from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, random_stream
+from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, replicate_streams
 from pipeline.montecarlo.workers import Execution, run_tasks
 from pipeline.observe import GEOMETRY, simulated_rows
 from pipeline.parameters import Parameters
@@ -439,7 +439,6 @@ def _adjoint(model: _Model, count: int, wanted: Iterable[str]) -> dict[str, np.n
     names = {name: place for name, place in names.items() if name in wanted}
     if not names:
         return {}
-    experiment = model.experiment
 
     def project(sweep: Sweep, state: State, found: Influence) -> np.ndarray:
         shed = np.where(_follows_E(sweep, parameters), sweep.shed_fraction, 0.0)
@@ -448,7 +447,7 @@ def _adjoint(model: _Model, count: int, wanted: Iterable[str]) -> dict[str, np.n
         return np.column_stack([by_log_shed, by_factor])
 
     def gradient(k: int) -> np.ndarray:
-        streams = (random_stream(experiment.seed, experiment.name, p, k) for p in model.purposes)
+        streams = replicate_streams(setup.experiment, k, model.purposes)
         return row_gradients(setup, parameters, rows, project, *streams)
 
     gradients = run_tasks([partial(gradient, k) for k in range(count)], model.execution)

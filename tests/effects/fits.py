@@ -14,7 +14,7 @@ from pipeline.effects import Active, effects
 from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.parts import stack
 from pipeline.montecarlo.replicates import replicates_dataset
-from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, random_stream
+from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, replicate_streams
 from pipeline.observe import STRESS, simulated_rows
 from pipeline.parameters import Parameters, declared_parameters
 from pipeline.simulate import make_setup, simulate
@@ -54,11 +54,9 @@ class Case:
         setup = replace(self.setup, effects=tuple(active))
         readings = []
         for i in range(self.replicates):
-            packing, flow = (
-                random_stream(self.experiment.seed, self.experiment.name, purpose, i)
-                for purpose in (CALIBRATION_PACKING, CALIBRATION_FLOW)
-            )
-            readings.append(simulate(setup, parameters, packing, flow))
+            purposes = (CALIBRATION_PACKING, CALIBRATION_FLOW)
+            streams = replicate_streams(self.experiment, i, purposes)
+            readings.append(simulate(setup, parameters, *streams))
         dataset = replicates_dataset(setup, stack(readings))
         return simulated_rows(self.experiment, dataset, self.rows).mean(axis=0)
 

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.effects import Active
 from pipeline.lattice.block_model import build_block_model
-from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
+from pipeline.montecarlo.streams import FLOW, PACKING, random_stream, replicate_streams
 from pipeline.parameters import declared_parameters
 from pipeline.sensitivity import footprints
 from pipeline.sensitivity.footprints import gradient_cost, influence_fields
@@ -87,10 +87,7 @@ def test_footprints_are_the_same_load_cell_by_load_cell_or_all_at_once(drawn, mo
     parameters = declared_parameters(experiment)
     expected = 0.0
     for replicate in range(2):
-        random = (
-            random_stream(experiment.seed, experiment.name, purpose, replicate)
-            for purpose in (PACKING, FLOW)
-        )
+        random = replicate_streams(experiment, replicate)
         fields = influence_fields(setup, parameters, *random, at=0)
         share = fields["weight_influence"] * fields["weight"] / fields["vertical_stress"]
         expected = expected + share.sum("y").transpose("load_cell", "z", "x").values

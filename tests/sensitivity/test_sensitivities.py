@@ -13,7 +13,7 @@ from pipeline.effects import Active, Effect, Parameter
 from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import MOVEMENT, STAGNANT
 from pipeline.montecarlo.replicates import run_replicates
-from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, random_stream
+from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, replicate_streams
 from pipeline.montecarlo.workers import Execution
 from pipeline.observe import simulated_rows
 from pipeline.parameters import declared_parameters
@@ -167,7 +167,7 @@ def test_gradients_along_any_directions_come_from_one_simulation(drawn_case):
 
     experiment = setup.experiment
     purposes = (CALIBRATION_PACKING, CALIBRATION_FLOW)
-    streams = (random_stream(experiment.seed, experiment.name, p, 0) for p in purposes)
+    streams = replicate_streams(experiment, 0, purposes)
     slopes = row_gradients(setup, case.parameters, case.rows, project, *streams, of_relaxation=True)
     slopes[:, 0] /= case.parameters.R  # from log R
     np.testing.assert_allclose(slopes, found.sensitivity, rtol=1e-4, atol=1e-9)
