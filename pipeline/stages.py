@@ -139,7 +139,7 @@ def parameters_of(experiment: Experiment, experiments: Mapping[str, Experiment])
     known: dict[str, Parameters] = {}
     for source in reversed(sources(experiment, experiments)[1:]):
         rows = check_measured(source)
-        setup = make_setup(source, build_block_model(as_filled(source)), rows)
+        setup = make_setup(source, rows=rows)
         document = calibrate(source, setup, declared_parameters(source, known), rows)
         known[source.name] = Parameters.from_document(document["parameters_used"])
     return declared_parameters(experiment, known)

@@ -15,7 +15,6 @@ from pipeline.benchmark.lattices import (
     EXPONENT,
     cube,
     replicate_on,
-    setup_of,
     triad_over,
 )
 from pipeline.benchmark.yardsticks import (
@@ -42,7 +41,7 @@ from pipeline.lattice.spreading import draw_ranks, rank_normals, spreading_weigh
 from pipeline.lattice.stress import AT_HOME, BY_CELL, UNCOUPLED, Ranked, stress_sweep
 from pipeline.lattice.stress_reference import stress_sweep_reference
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import Setup
+from pipeline.simulate import Setup, make_setup
 
 READS = 100_000
 MINE = 27_000_000  # cells from which the targets of a mine's lattice hold
@@ -50,7 +49,7 @@ MINE = 27_000_000  # cells from which the targets of a mine's lattice hold
 
 def static_figures(side: int, repeats: int) -> Iterator[Figure]:
     """The stress sweep, its parts and a whole static replicate, against the triad."""
-    setup = setup_of(cube(side))
+    setup = make_setup(cube(side))
     shape, cells = setup.code.shape, setup.code.size
     parameters = declared_parameters(setup.experiment)
     rng = np.random.default_rng(1)
@@ -172,7 +171,7 @@ def flow_figures(side: int, repeats: int) -> Iterator[Figure]:
     In moving ground, all of which has been loosened before, each void climbs to the surface; in
     new ground zones grow from the drawpoints, draw by draw. Draw goes on from repeat to repeat.
     """
-    setup = setup_of(cube(side, drawn=True))
+    setup = make_setup(cube(side, drawn=True))
     weight, points = setup.cell_weight, len(setup.openings)
     mass = float(weight[0]) / GRAVITY
     chances, rng = climb_chances(EXPONENT), np.random.default_rng(1)
@@ -258,7 +257,7 @@ def laboratory_figures(repeats: int) -> Iterator[Figure]:
             "seed": 1,
         }
     ).at(Path("draw_box.yaml"))
-    setup = setup_of(experiment)
+    setup = make_setup(experiment)
     replicate = replicate_on(setup)
 
     def run(_):

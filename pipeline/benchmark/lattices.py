@@ -9,9 +9,8 @@ import numpy as np
 from pipeline.benchmark.figures import Action
 from pipeline.benchmark.yardsticks import triad
 from pipeline.config.experiment import Experiment
-from pipeline.lattice.block_model import build_block_model
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import Setup, make_setup, simulate
+from pipeline.simulate import Setup, simulate
 
 CELL_SIZE, BULK_DENSITY = 1.0, 1600.0  # m, kg m-3
 EXPONENT, BULKING = 3.0, 0.15
@@ -58,11 +57,6 @@ def cube(side: int, drawn: bool = False) -> Experiment:
         content["draw"] = [{"drawpoints": names, "mass": visit * len(names), "increment": visit}]
         content["readings"] = {"every": visit * len(names)}
     return Experiment.model_validate(content).at(Path("cube.yaml"))
-
-
-def setup_of(experiment: Experiment) -> Setup:
-    """Its setup, block model and all."""
-    return make_setup(experiment, build_block_model(experiment))
 
 
 def replicate_on(setup: Setup) -> Action:

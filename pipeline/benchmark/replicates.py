@@ -16,11 +16,12 @@ import numpy as np
 import psutil
 
 from pipeline.benchmark.figures import Action, Figure, Target, figures_beside, measure
-from pipeline.benchmark.lattices import cube, replicate_on, setup_of, triad_over
+from pipeline.benchmark.lattices import cube, replicate_on, triad_over
 from pipeline.montecarlo.parts import Collected
 from pipeline.montecarlo.replicates import Run, run_part
 from pipeline.montecarlo.workers import Crew, Execution, crew
 from pipeline.parameters import declared_parameters
+from pipeline.simulate import make_setup
 
 HUGE = 99_000_000  # cells from which the targets of the largest lattices hold
 MANY = 10_000  # replicates that targets are for
@@ -41,7 +42,7 @@ def resident_memory(side: int, drawn: bool) -> Memory:
     Most while its setup is made and during a replicate, the setup included; and, as yardstick,
     three float32 arrays of as many cells. Resident memory is looked at every millisecond.
     """
-    replicate_on(setup_of(cube(8, drawn))).run(None)  # what kernels take once
+    replicate_on(make_setup(cube(8, drawn))).run(None)  # what kernels take once
     cells = side**3
     gc.collect()
     before = psutil.Process().memory_info().rss
@@ -49,7 +50,7 @@ def resident_memory(side: int, drawn: bool) -> Memory:
         held = [np.full(cells, value, np.float32) for value in (0.0, 1.0, 2.0)]
     del held
     with _Peak() as making:
-        setup = setup_of(cube(side, drawn))
+        setup = make_setup(cube(side, drawn))
     gc.collect()
     with _Peak() as replicate:
         replicate_on(setup).run(None)
@@ -133,7 +134,7 @@ def scaling_figures(
                 f"{free / 1e9:.1f} GB are free"
             )
             continue
-        setup = setup_of(cube(side))
+        setup = make_setup(cube(side))
         actions = {"triad": triad_over(side**3), "replicate": replicate_on(setup)}
         rates = measure(actions, repeats)
         shapes.append(setup.code.shape)
@@ -176,7 +177,7 @@ def replicates_figures(side: int, count: int, repeats: int) -> Iterator[Figure]:
     share, before the time is taken. What Dask costs is what one of its workers takes longer than
     this process does.
     """
-    setup = setup_of(cube(side))
+    setup = make_setup(cube(side))
     run = Run(setup, declared_parameters(setup.experiment))
     bounds = np.linspace(0, count, TASKS + 1).astype(int).tolist()
 

@@ -13,7 +13,6 @@ from pipeline.config.load import load_experiment
 from pipeline.config.measured import QUANTITIES, MeasuredRow
 from pipeline.config.study import Study
 from pipeline.effects import Active, declared_effects
-from pipeline.lattice.block_model import build_block_model
 from pipeline.loop.documents import point_from
 from pipeline.loop.problem import Problem
 from pipeline.montecarlo.replicates import run_replicates
@@ -69,7 +68,7 @@ def _compared(
     execution: Execution,
 ) -> dict[str, Any]:
     """`bias`, `mean_absolute_error` and `rmse` in kPa over stresses, and every reading."""
-    setup = make_setup(experiment, build_block_model(experiment), rows, effects=active)
+    setup = make_setup(experiment, rows=rows, effects=active)
     setup = only_measured(setup, rows)
     count = experiment.replicates
     dataset, _ = run_replicates(setup, parameters, count, execution, fields=False)

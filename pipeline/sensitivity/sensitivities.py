@@ -19,7 +19,6 @@ from pipeline.config.measured import QUANTITIES, MeasuredRow
 from pipeline.config.stress import EMinTable
 from pipeline.effects import Active, State, apply, lacking, ordered
 from pipeline.lattice.adjoint import Influence
-from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import MOVEMENT, STAGNANT
 from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, replicate_streams
@@ -267,9 +266,8 @@ class _Model:
         setup, rows = self.case.setup, self.case.rows
         height = setup.experiment.geometry.height
         if apply(effects, "geometry", height) != apply(setup.effects, "geometry", height):
-            block_model = build_block_model(setup.experiment)
             dtype = setup.cell_weight.dtype.type
-            made = make_setup(setup.experiment, block_model, rows, dtype, effects)
+            made = make_setup(setup.experiment, rows=rows, dtype=dtype, effects=effects)
             levels = setup.fill_levels
             setup = replace(
                 made,

@@ -61,23 +61,23 @@ class Setup:
 
 def make_setup(
     experiment: Experiment,
-    block_model: xr.Dataset,
+    block_model: xr.Dataset | None = None,
     rows: tuple[MeasuredRow, ...] = (),
     dtype: type = np.float32,
     effects: tuple[Active, ...] | None = None,
 ) -> Setup:
     """Arrays of an experiment for its replicates.
 
-    `rows` are its measured rows, whose fill heights and masses join the declared readings;
-    `dtype` is the storage type of the cells' weights; `effects` replace those that the experiment
-    declares.
+    `block_model` is made here if it is not given. `rows` are its measured rows, whose fill heights
+    and masses join the declared readings; `dtype` is the storage type of the cells' weights;
+    `effects` replace those that the experiment declares.
     """
     active = declared_effects(experiment) if effects is None else ordered(effects)
     levels = () if experiment.is_draw else fill_levels(experiment, rows)
     true_levels = tuple(float(apply(active, "geometry", level)) for level in levels)
     filled = as_filled(experiment, active)
     lattice = lattice_of(filled)
-    if filled is not experiment:
+    if block_model is None or filled is not experiment:
         block_model = build_block_model(filled)
     code = cell_codes(block_model)
     weight = block_model["bulk_density"].values.astype(np.float64).ravel()

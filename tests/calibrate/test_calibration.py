@@ -9,7 +9,6 @@ from scipy.stats import binom, chi2
 from pipeline.calibrate.calibration import SCALES, Z90, calibrate
 from pipeline.config.load import check_measured
 from pipeline.config.measured import MeasuredRow
-from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.grid import GRAVITY
 from pipeline.lattice.stress import closed_form_stress
 from pipeline.montecarlo.replicates import run_replicates
@@ -43,7 +42,7 @@ def row(quantity="vertical_stress", value=8.0, std=0.5, **changes):
 
 
 def setup_of(experiment, rows=()):
-    return make_setup(experiment, build_block_model(experiment), rows)
+    return make_setup(experiment, rows=rows)
 
 
 def fit(experiment, rows):

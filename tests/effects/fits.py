@@ -11,7 +11,6 @@ from scipy.optimize import least_squares
 from pipeline.config.experiment import Experiment
 from pipeline.config.load import check_measured, load_experiments
 from pipeline.effects import Active, effects
-from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.parts import stack
 from pipeline.montecarlo.replicates import replicates_dataset
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, replicate_streams
@@ -43,7 +42,7 @@ class Case:
         source = self.experiment.stress.from_
         sources = {source: declared_parameters(experiments()[source])} if source else None
         self.parameters = declared_parameters(self.experiment, sources)
-        self.setup = make_setup(self.experiment, build_block_model(self.experiment), self.rows)
+        self.setup = make_setup(self.experiment, rows=self.rows)
         if not self.experiment.is_draw:
             heights = {row.fill_height or self.experiment.geometry.height for row in self.rows}
             levels = tuple(h for h in self.setup.fill_levels if h in heights)

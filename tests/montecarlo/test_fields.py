@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import AIR, MOVEMENT, OUTSIDE, VOID
 from pipeline.montecarlo.fields import FieldSums
 from pipeline.montecarlo.replicates import run_replicates
@@ -23,7 +22,7 @@ COUNT = 7
 
 
 def _setup(experiment):
-    return make_setup(experiment, build_block_model(experiment), dtype=np.float64)
+    return make_setup(experiment, dtype=np.float64)
 
 
 @pytest.fixture(scope="module", params=["column", "drawn", "cylinder"])

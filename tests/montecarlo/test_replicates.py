@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo import replicates, workers
 from pipeline.montecarlo.replicates import run_experiment, run_replicates
 from pipeline.montecarlo.workers import Execution
@@ -39,7 +38,7 @@ def test_a_replicate_does_not_depend_on_how_many_there_are(setup):
 def test_replicates_and_experiments_differ_from_each_other(setup, alone, run):
     base = alone[0]["base_vertical_stress_std"].values[:, -1]
     assert len(set(base)) == len(base)
-    other = make_setup(setup.experiment.at("elsewhere.yaml"), build_block_model(setup.experiment))
+    other = make_setup(setup.experiment.at("elsewhere.yaml"))
     assert not np.any(np.isin(run(other)[0]["base_vertical_stress_std"], base))
 
 

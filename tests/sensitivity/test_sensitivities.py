@@ -10,7 +10,6 @@ from pipeline import effects as catalogue
 from pipeline.config.measured import MeasuredRow
 from pipeline.config.stress import EMinPower, EMinTable
 from pipeline.effects import Active, Effect, Parameter
-from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import MOVEMENT, STAGNANT
 from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, replicate_streams
@@ -72,8 +71,7 @@ def column_case(column):
         cell = {"name": "corner", "x": 0.1, "y": 0.1, "width": 0.15, "length": 0.2}
         defaults = {"load_cells": [cell], "walls": {"friction_angle": 25}}
         experiment = column(**(defaults | changes))
-        model = build_block_model(experiment)
-        setup = make_setup(experiment, model, COLUMN_ROWS, np.float64)
+        setup = make_setup(experiment, rows=COLUMN_ROWS, dtype=np.float64)
         return Case(setup, declared_parameters(experiment), tuple(effects), COLUMN_ROWS)
 
     return make
@@ -83,7 +81,7 @@ def column_case(column):
 def drawn_case(drawn):
     def make(effects=(), **changes) -> Case:
         experiment = drawn(**changes)
-        setup = make_setup(experiment, build_block_model(experiment), DRAWN_ROWS, np.float64)
+        setup = make_setup(experiment, rows=DRAWN_ROWS, dtype=np.float64)
         return Case(setup, declared_parameters(experiment), tuple(effects), DRAWN_ROWS)
 
     return make
@@ -93,8 +91,7 @@ def simulated(case, parameters=None, count=COUNT, effects=None) -> np.ndarray:
     """Mean rows (row) on the streams of the sensitivities."""
     setup = case.setup
     if effects is not None:
-        model = build_block_model(setup.experiment)
-        setup = make_setup(setup.experiment, model, case.rows, np.float64, effects)
+        setup = make_setup(setup.experiment, rows=case.rows, dtype=np.float64, effects=effects)
     purposes = (CALIBRATION_PACKING, CALIBRATION_FLOW)
     dataset, _ = run_replicates(
         setup, parameters or case.parameters, count, Execution(), purposes, fields=False
