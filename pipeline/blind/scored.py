@@ -19,6 +19,7 @@ import numpy as np
 from pipeline.files.atomic import read_json
 
 NULLS = ("null_plain", "null_heavy_tails", "null_understated_noise")
+SINGLE = ("one", "sensor_or_input")
 NO_CLAIM = "no_effect_detectable"
 LOCAL_RULE = "local_rule"
 PREDICTIONS = ("after", "recalibrated_only", "gaussian_process")

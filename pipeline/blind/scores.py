@@ -18,6 +18,7 @@ from pipeline.blind.scored import (
     LOCAL_RULE,
     NULLS,
     PREDICTIONS,
+    SINGLE,
     STRONG,
     Claim,
     Scored,
@@ -28,7 +29,6 @@ from pipeline.effects import effects
 
 DELTA_BINS = (0.0, 2.0, 3.5, 5.0, 8.0, math.inf)
 PROBABILITY_BINS = (0.0, 0.5, 0.7, 0.9, 0.97, 1.0)
-SINGLE = ("one", "sensor_or_input")
 WORSE = 1.05
 
 
