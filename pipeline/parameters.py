@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.config.experiment import EMinPower, EMinTable, Experiment
+from pipeline.config.experiment import Experiment
+from pipeline.config.stress import EMinPower, EMinTable
 
 
 @dataclass(frozen=True)

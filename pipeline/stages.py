@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pipeline.benchmark import cube, describe_machine
+from pipeline.benchmark.figures import describe_machine
+from pipeline.benchmark.lattices import cube
 from pipeline.calibrate.calibration import calibrate
 from pipeline.config.experiment import Experiment
 from pipeline.config.load import check_measured, load_experiment, load_experiments, sources
@@ -25,8 +26,9 @@ from pipeline.effects import as_filled
 from pipeline.files.netcdf import write_dataset
 from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.fields import FieldSums
+from pipeline.montecarlo.parts import stack
 from pipeline.montecarlo.replicates import replicates_dataset
-from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
+from pipeline.montecarlo.streams import replicate_streams
 from pipeline.parameters import Parameters, declared_parameters
 from pipeline.simulate import FlowRecord, Snapshot, make_setup, record_flow, simulate
 
@@ -86,11 +88,8 @@ def time_stages(experiment: Experiment, parameters: Parameters) -> dict[str, Any
     setup = make_setup(experiment, model, check_measured(experiment))
     del model
 
-    def stream(purpose):
-        return random_stream(experiment.seed, experiment.name, purpose, 0)
-
     watch.enter("flow")
-    flow = record_flow(setup, parameters, stream(PACKING), stream(FLOW))
+    flow = record_flow(setup, parameters, *replicate_streams(experiment, 0))
     watch.enter("reading")
     sums = FieldSums.empty(setup)
 
@@ -101,13 +100,14 @@ def time_stages(experiment: Experiment, parameters: Parameters) -> dict[str, Any
 
     watch.enter("s")
     timed = _TimedFlow(flow.snapshots, flow.totals, watch)
-    readings = simulate(setup, parameters, stream(PACKING), timed, observe)
+    packing, _ = replicate_streams(experiment, 0)
+    readings = simulate(setup, parameters, packing, timed, observe)
     watch.enter("output")
     del flow, timed
     sums.count = 1
     with tempfile.TemporaryDirectory() as folder:
         for name, dataset in (
-            ("replicates", replicates_dataset(setup, [readings])),
+            ("replicates", replicates_dataset(setup, stack([readings]))),
             ("fields", sums.finalise()),
         ):
             path = Path(folder) / f"{name}.nc"
@@ -139,7 +139,7 @@ def parameters_of(experiment: Experiment, experiments: Mapping[str, Experiment])
     known: dict[str, Parameters] = {}
     for source in reversed(sources(experiment, experiments)[1:]):
         rows = check_measured(source)
-        setup = make_setup(source, build_block_model(as_filled(source)), rows)
+        setup = make_setup(source, rows=rows)
         document = calibrate(source, setup, declared_parameters(source, known), rows)
         known[source.name] = Parameters.from_document(document["parameters_used"])
     return declared_parameters(experiment, known)

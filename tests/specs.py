@@ -1,4 +1,6 @@
-"""Experiments of the tests in a few words, and how to change them."""
+"""Experiments of the tests in a few words, how to change them, and what bad files should give."""
+
+from pathlib import Path
 
 COLUMN = {
     "title": "A small column",
@@ -37,3 +39,9 @@ def merged(base: dict, changes: dict) -> dict:
         else:
             result[key] = value
     return result
+
+
+def expectations(path: Path) -> list[str]:
+    """What a bad file of the corpus says, in its first lines, that the messages about it hold."""
+    lines = path.read_bytes().decode("utf-8", "replace").splitlines()
+    return [line.removeprefix("# expect: ") for line in lines if line.startswith("# expect: ")]

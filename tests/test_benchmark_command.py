@@ -13,11 +13,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from pipeline import benchmark
-from pipeline.benchmark import Figure, Memory, Sizes, Target, as_table, scaling_figures
-from pipeline.yardsticks import published_sweep, published_sweep_by_levels, random_reads, triad
+from pipeline.benchmark import __main__ as command
+from pipeline.benchmark import figures, replicates
+from pipeline.benchmark.figures import Figure, Target
+from pipeline.benchmark.replicates import Memory, scaling_figures
+from pipeline.benchmark.table import as_table
+from pipeline.benchmark.yardsticks import (
+    published_sweep,
+    published_sweep_by_levels,
+    random_reads,
+    triad,
+)
 
-TINY = Sizes(
+TINY = command.Sizes(
     static=(6,),
     flow=(12,),
     reference=4,
@@ -34,10 +42,10 @@ SWEEPS = (published_sweep, published_sweep_by_levels)
 def printed():
     """What `--quick --json` prints, on lattices of a few cells."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(benchmark, "QUICK", TINY)
-        patch.setattr(benchmark, "LEAST_SECONDS", 0.0)
+        patch.setattr(command, "QUICK", TINY)
+        patch.setattr(figures, "LEAST_SECONDS", 0.0)
         with redirect_stdout(StringIO()) as out:
-            assert benchmark.main(["--quick", "--json"]) == 0
+            assert command.main(["--quick", "--json"]) == 0
     return out.getvalue()
 
 
@@ -55,11 +63,11 @@ def test_every_figure_has_its_yardstick_ratio_sizes_and_repeats(printed):
 
 
 def test_every_yardstick_and_every_part_is_there(printed):
-    figures = json.loads(printed)["figures"]
-    yardsticks = {figure["yardstick"]["name"] for figure in figures}
+    found = json.loads(printed)["figures"]
+    yardsticks = {figure["yardstick"]["name"] for figure in found}
     for word in ("STREAM triad", "plain-Python", "published 2-D", "26 s", "random reads"):
         assert any(word in name for name in yardsticks), word
-    names = " / ".join(figure["name"] for figure in figures)
+    names = " / ".join(figure["name"] for figure in found)
     for word in (
         "ranks of s",
         "sweep, weights by rank",
@@ -74,7 +82,7 @@ def test_every_yardstick_and_every_part_is_there(printed):
         assert word in names
     for word in ("two threads", "two processes", "Dask, one worker", "Dask, two workers"):
         assert word.removesuffix("s") in names
-    quoted = [figure for figure in figures if figure["yardstick"]["quoted"]]
+    quoted = [figure for figure in found if figure["yardstick"]["quoted"]]
     assert [figure["unit"] for figure in quoted] == ["kg/s"]
 
 
@@ -115,9 +123,9 @@ def test_a_lattice_that_does_not_fit_is_left_out_with_the_reason():
     greedy = Memory(yardstick=0.0, making=1e12, replicate=1.0)
     sides = (2, 3, 400)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(benchmark, "LEAST_SECONDS", 0.0)
+        patch.setattr(figures, "LEAST_SECONDS", 0.0)
         free = type("Free", (), {"available": 1e14})
-        patch.setattr(benchmark.psutil, "virtual_memory", lambda: free)
+        patch.setattr(replicates.psutil, "virtual_memory", lambda: free)
         power, *points = scaling_figures(sides, 1, greedy, skipped)
     assert len(points) == 2
     assert len(skipped) == 1

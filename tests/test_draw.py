@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.parameters import carry_transmission, declared_parameters
@@ -11,7 +10,7 @@ from pipeline.simulate import make_setup, simulate, visits
 
 
 def run(experiment, replicate=0, parameters=None):
-    setup = make_setup(experiment, build_block_model(experiment))
+    setup = make_setup(experiment)
     streams = (
         random_stream(experiment.seed, "draw", purpose, replicate) for purpose in (PACKING, FLOW)
     )
@@ -94,9 +93,10 @@ def test_the_schedule_draws_in_turn_up_to_each_lines_mass(drawn):
 
 def test_stress_falls_in_the_movement_zone_and_rises_beside_it(drawn):
     experiment = drawn(replicates=12)
-    setup = make_setup(experiment, build_block_model(experiment))
+    setup = make_setup(experiment)
     readings, _ = run_replicates(setup, declared_parameters(experiment), 12, fields=False)
-    ratio = np.mean([r.vertical_stress[-1] / r.vertical_stress[0] for r in readings], axis=0)
+    stress = readings["vertical_stress"].values
+    ratio = (stress[:, -1] / stress[:, 0]).mean(axis=0)
     beside, above = ratio
     assert above < 0.9
     assert beside > above
@@ -120,9 +120,9 @@ def test_a_mirrored_layout_gives_mirrored_statistics(drawn):
             load_cells=cells,
             draw=[{"drawpoints": ["p"], "mass": 12.0, "increment": 1.0}],
         )
-        setup = make_setup(experiment, build_block_model(experiment))
+        setup = make_setup(experiment)
         readings, _ = run_replicates(setup, declared_parameters(experiment), 30, fields=False)
-        return np.array([r.vertical_stress[-1] for r in readings])
+        return readings["vertical_stress"].values[:, -1]
 
     one, other = ends(False), ends(True)
     error = np.sqrt((one.var(axis=0, ddof=1) + other.var(axis=0, ddof=1)) / 30)

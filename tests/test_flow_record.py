@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.effects import Active
-from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import make_setup, record_flow, simulate
@@ -44,7 +43,7 @@ def assert_same(one, other):
 )
 def test_a_recorded_flow_gives_the_bits_of_its_stream(drawn, changes, effects, seed):
     experiment = drawn(keep_fields=True, **changes)
-    setup = make_setup(experiment, build_block_model(experiment), effects=effects)
+    setup = make_setup(experiment, effects=effects)
     parameters = declared_parameters(experiment)
     flow = record_flow(setup, parameters, *streams(seed))
     packing, stream = streams(seed)
@@ -55,7 +54,7 @@ def test_a_recorded_flow_gives_the_bits_of_its_stream(drawn, changes, effects, s
 
 def test_recording_draws_from_the_flow_stream_what_simulating_draws(drawn):
     experiment = drawn()
-    setup = make_setup(experiment, build_block_model(experiment))
+    setup = make_setup(experiment)
     parameters = declared_parameters(experiment)
     after = []
     for use in (record_flow, simulate):
@@ -67,7 +66,7 @@ def test_recording_draws_from_the_flow_stream_what_simulating_draws(drawn):
 
 def test_recording_leaves_other_streams_and_the_setup_as_they_were(drawn):
     experiment = drawn()
-    setup = make_setup(experiment, build_block_model(experiment))
+    setup = make_setup(experiment)
     parameters = declared_parameters(experiment)
     before = simulate(setup, parameters, *streams(1))
     kept = setup.code.copy(), setup.cell_weight.copy()
@@ -80,7 +79,7 @@ def test_recording_leaves_other_streams_and_the_setup_as_they_were(drawn):
 @pytest.mark.parametrize("other", [{"E": 0.8}, {"s_mean": 1.0, "s_std": 0.5}, {"R": 0.9}])
 def test_stress_parameters_leave_the_flow_as_it_was(drawn, other):
     experiment = drawn()
-    setup = make_setup(experiment, build_block_model(experiment))
+    setup = make_setup(experiment)
     parameters = declared_parameters(experiment)
     changed = type(parameters)(**(vars(parameters) | other))
     one, two = (record_flow(setup, p, *streams(3)) for p in (parameters, changed))
@@ -91,7 +90,7 @@ def test_stress_parameters_leave_the_flow_as_it_was(drawn, other):
 
 def test_its_size_is_that_of_its_arrays(drawn):
     experiment = drawn()
-    setup = make_setup(experiment, build_block_model(experiment))
+    setup = make_setup(experiment)
     record = record_flow(setup, declared_parameters(experiment), *streams(1))
     assert len(list(record)) == setup.times
     assert record.nbytes > setup.times * setup.code.size * (1 + 4)  # codes and identities

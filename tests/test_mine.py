@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from pipeline.config.load import load_experiments
-from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.parameters import Parameters, carry_transmission, declared_parameters
 from pipeline.simulate import make_setup, simulate, visits
@@ -105,7 +104,7 @@ def test_a_finer_mine_keeps_the_zone_s_length_and_brings_its_laboratory_test(wri
 def test_weight_and_mass_are_conserved_in_a_coarse_mine(written, name):
     folder = written("--cell-size", "4", "--cells-drawn", "2000", "--replicates", "1")
     mine = load_experiments(folder)[name]
-    setup = make_setup(mine, build_block_model(mine))
+    setup = make_setup(mine)
     parameters = declared_parameters(mine, {"castro_2006_1452": LABORATORY})
     streams = (random_stream(mine.seed, name, purpose, 0) for purpose in (PACKING, FLOW))
     last = {}

@@ -13,7 +13,8 @@ from typing import Any
 
 from pipeline.blind.loops import run_worlds
 from pipeline.blind.remeasured import outcomes
-from pipeline.blind.scores import append_log, open_world, score
+from pipeline.blind.scored import open_world
+from pipeline.blind.scores import append_log, score
 from pipeline.files.atomic import read_json, write_json
 
 

@@ -18,7 +18,8 @@ import xarray as xr
 
 from pipeline import __version__
 from pipeline.blind.peers import forward_selection, raw_correlation, thresholded_least_squares
-from pipeline.blind.remeasured import CHOICES, is_undecided, measure_again
+from pipeline.blind.remeasured import is_undecided, measure_again
+from pipeline.blind.scored import CHOICES, SINGLE, Claim
 from pipeline.blind.seal import sealed
 from pipeline.blind.tasks import each
 from pipeline.blind.worlds import digest_of, index_of, kind_of, make_worlds, scoring_seed
@@ -31,8 +32,6 @@ from pipeline.loop.steps import attribution, closed, residual
 
 SCHEMA_VERSION = "1.0"
 RESULTS = ("closed_loop", "attribution", "predictions", "peers")  # of a world, as JSON
-
-Claim = tuple[str, str | None]  # name of an effect, and what it belongs to
 
 
 def run_worlds(
@@ -90,8 +89,7 @@ def _seconds_of(worlds: Path, truths: Path, code: str, name: str) -> float:
 def _is_undecided(world: Path, seed: int) -> bool:
     """Whether a world with one effect is left undecided."""
     kind, _ = kind_of(seed, index_of(world.name))
-    one_effect = kind in ("one", "sensor_or_input")
-    return one_effect and is_undecided(read_json(world / "closed_loop.json"))
+    return kind in SINGLE and is_undecided(read_json(world / "closed_loop.json"))
 
 
 def _once_more(worlds: Path, truths: Path, code: str, which: tuple[str, str]) -> None:

@@ -27,12 +27,12 @@ import numpy as np
 
 from pipeline.blind import laboratory
 from pipeline.blind.injection import TRUE_PACKING
+from pipeline.blind.scored import CHOICES
 from pipeline.blind.truth import Added, rows_of
 from pipeline.blind.worlds import PACKINGS, begin_world, files_of, measure
 from pipeline.effects import effects
 from pipeline.files.atomic import read_json, write_json, write_text
 
-CHOICES = ("recommended", "random")
 CHOOSING, ERRORS = 4, 5  # spawn keys of the random choice, and of all new errors
 FIRST, SECOND = 0, 1  # packings of an experiment
 # standard deviations off what was declared: shown by itself, or if nothing is missing after it

@@ -17,7 +17,6 @@ from pipeline.blind import independent, laboratory
 from pipeline.blind.outside import OUTSIDE, Injected
 from pipeline.config.experiment import Experiment
 from pipeline.effects import Active, Reading, effects
-from pipeline.lattice.block_model import build_block_model
 from pipeline.parameters import Parameters, declared_parameters
 from pipeline.simulate import Setup, load_cells, make_setup, simulate
 
@@ -107,8 +106,7 @@ class LatticeGenerator:
                 parameters = one.kind.parameters(parameters, one.values)
         key = (name, *((one.name, *sorted(one.values.items())) for one in active))
         if key not in self._setups:
-            block_model = build_block_model(experiment)
-            self._setups[key] = make_setup(experiment, block_model, effects=active)
+            self._setups[key] = make_setup(experiment, effects=active)
         packing, flow = _streams(seed, name)
         return simulate(self._setups[key], parameters, packing, flow).vertical_stress
 

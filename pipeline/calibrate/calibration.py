@@ -18,7 +18,7 @@ from scipy.optimize import least_squares, minimize
 
 from pipeline.config.experiment import Experiment
 from pipeline.config.measured import MeasuredRow
-from pipeline.montecarlo.replicates import replicates_dataset, run_replicates
+from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING
 from pipeline.montecarlo.workers import Execution
 from pipeline.observe import (
@@ -106,7 +106,7 @@ class _Model:
         """Rows (replicate, row) of all common random numbers, or of the first `count`."""
         count = count or self.count
         self.simulated[0] += count
-        readings, _ = run_replicates(
+        dataset, _ = run_replicates(
             self.setup,
             parameters,
             count,
@@ -114,7 +114,6 @@ class _Model:
             (CALIBRATION_PACKING, CALIBRATION_FLOW),
             fields=False,
         )
-        dataset = replicates_dataset(self.setup, readings)
         return simulated_rows(self.setup.experiment, dataset, self.rows)
 
     def mean(self, parameters: Parameters, count: int | None = None) -> np.ndarray:

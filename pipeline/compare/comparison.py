@@ -15,17 +15,16 @@ from pipeline.config.comparison import Comparison
 from pipeline.config.experiment import Experiment
 from pipeline.config.load import digest
 from pipeline.files.units import KPA_IN_MPA
-from pipeline.montecarlo.statistics import stress_percentiles
+from pipeline.montecarlo.statistics import SUMMARY, stress_percentiles
 from pipeline.simulate import load_cells
 
 PEAK_WITHIN = 1e-3  # a stress that stays the same but for this has its peak when it began
 SIDES = ("first", "second")
-STATISTICS = ("mean", "p10", "p50", "p90")
 PLACE = ("x_m", "y_m", "width_m", "length_m")
 READING_COLUMNS = (
     *(f"{side}_experiment" for side in SIDES),
     *("load_cell", *PLACE, "reading", "mass_drawn_kg"),
-    *(f"{side}_{name}_mpa" for side in SIDES for name in STATISTICS),
+    *(f"{side}_{name}_mpa" for side in SIDES for name in SUMMARY),
     *("difference_mpa", "difference_se_mpa", "difference_kpa"),
 )
 LOAD_CELL_COLUMNS = (
@@ -162,7 +161,7 @@ def _side(stress: np.ndarray, mass: np.ndarray, threshold: float) -> list[dict[s
         peak = _first_at_peak(series["mean"][:, cell])
         found.append(
             {
-                **{f"{name}_mpa": series[name][:, cell] for name in STATISTICS},
+                **{f"{name}_mpa": series[name][:, cell] for name in SUMMARY},
                 "peak_mpa": series["mean"][peak, cell],
                 "peak_p10_mpa": series["p10"][peak, cell],
                 "peak_p90_mpa": series["p90"][peak, cell],
@@ -192,7 +191,7 @@ def reading_rows(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         for t, mass in enumerate(document["mass_drawn_kg"]):
             row = _head(document, entry) | {"reading": t, "mass_drawn_kg": mass}
             for side in SIDES:
-                row |= {f"{side}_{name}_mpa": entry[side][f"{name}_mpa"][t] for name in STATISTICS}
+                row |= {f"{side}_{name}_mpa": entry[side][f"{name}_mpa"][t] for name in SUMMARY}
             difference = entry["difference_mpa"][t]
             row |= {"difference_mpa": difference, "difference_kpa": difference / KPA_IN_MPA}
             yield row | {"difference_se_mpa": entry["difference_se_mpa"][t]}

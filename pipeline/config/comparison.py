@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator, Mapping
 
-from pipeline.config.experiment import BaseArea, Experiment, FileStem, FromFile
+from pipeline.config.experiment import BaseArea, Experiment
+from pipeline.config.fields import FileStem, FromFile
 from pipeline.config.measured import reading_masses
 from pipeline.config.messages import Found, did_you_mean, quantity
 

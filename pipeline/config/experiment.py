@@ -8,158 +8,47 @@ above it.
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from pipeline.config.effects import EffectBlock, effects_fit
 from pipeline.config.fields import (
     Density,
     FileStem,
-    Fraction,
     FrictionAngle,
     FromFile,
-    Height,
     Length,
     Mass,
     MassDrawn,
-    MineCoordinate,
     Number,
     ParticleSize,
     Position,
     Stress_kPa,
     Strict,
     Text,
-    Transmission,
+    increasing,
     size_order,
 )
+from pipeline.config.geometry import DrawbellMask, FileMask, Geometry
 from pipeline.config.messages import (
     NAME_PATTERN,
     Found,
     did_you_mean,
     quantity,
-    read_number,
     whole,
 )
 from pipeline.config.regions import Region, grades_fit, regions_fit, units_of
+from pipeline.config.stress import Flow, Stress
 
-MAX_CELLS = 2e9
-"""Lattices beyond this number of cells are taken for a mistake of unit."""
 MAX_STEPS = 1e5
-"""So are more readings, or more increments of one draw line, than this."""
+"""More readings, or more increments of one draw line, are taken for a mistake of unit."""
 
 DataLabel = Literal["measured", "simulated (DEM)", "published simulation", "synthetic"]
 Parameter = Literal["E", "s", "s.mean", "s.std", "E_min", "R", "exponent", "bulking"]
 
 DRAW_PARAMETERS = ("E_min", "R", "exponent", "bulking")
 """Parameters that act only while material is drawn."""
-
-
-# ---------------------------------------------------------------------------------------------
-# geometry
-
-
-class CylinderMask(Strict):
-    """An upright cylinder in the middle of the box; outside it there is no ground."""
-
-    type: Literal["cylinder"]
-    """Kind of mask."""
-    diameter: Length | None = None
-    """Diameter, m; without it the smaller of width and length."""
-
-
-class DrawbellMask(Strict):
-    """Solid ground between the drawpoints that rises from their edges to the height."""
-
-    type: Literal["drawbells"]
-    """Kind of mask."""
-    height: Length
-    """Height of the drawbells above the base, m."""
-    wall_angle: quantity("an angle in degrees, above 0 and at most 90", gt=0, le=90)
-    """Inclination of the drawbell walls from the horizontal, degrees."""
-
-
-class FileMask(Strict):
-    """Ground read from a netCDF file on (z, y, x): 1 where there is granular material."""
-
-    type: Literal["file"]
-    """Kind of mask."""
-    path: Annotated[str, Field(pattern=r"\.nc$")]
-    """NetCDF file (.nc), relative to the experiment's file."""
-    variable: Text = "ground"
-    """Name of the variable in the file."""
-
-
-Mask = Annotated[CylinderMask | DrawbellMask | FileMask, Field(discriminator="type")]
-
-
-def _lattice_fits(width, length, height, cell_size) -> Iterator[Found]:
-    sides = {"width": width, "length": length, "height": height}
-    least = min(sides, key=sides.get)
-    cells = width * length * height / cell_size**3
-    if cell_size > sides[least]:
-        in_mm = cell_size / 1000 <= sides[least] and cells * 1e9 <= MAX_CELLS
-        hint = f"; did you mean {cell_size / 1000:.6g}?" if in_mm else ""
-        text = f"expected a cell size in m, at most the {least} ({sides[least]:g} m){hint}"
-        yield ("cell_size",), text
-    if cells > MAX_CELLS:
-        text = (
-            f"makes a lattice of {cells:.2g} cells, expected at most {MAX_CELLS:.0g}; "
-            "give all lengths in m, or choose larger cells"
-        )
-        yield ("cell_size",), text
-
-
-def _mask_fits(width, length, height, mask) -> Iterator[Found]:
-    if isinstance(mask, CylinderMask) and (mask.diameter or 0) > min(width, length) * (1 + 1e-9):
-        text = f"expected at most the smaller of width and length ({min(width, length):g} m)"
-        yield ("mask", "diameter"), text
-    if isinstance(mask, DrawbellMask) and mask.height > height * (1 + 1e-9):
-        yield ("mask", "height"), f"expected at most geometry.height ({height:g} m)"
-
-
-class MineOrigin(Strict):
-    """Where the model's corner (x = y = z = 0) stands in the mine; x is east, y north, z up."""
-
-    easting: MineCoordinate
-    """Easting of the corner, m."""
-    northing: MineCoordinate
-    """Northing of the corner, m."""
-    elevation: MineCoordinate
-    """Elevation of the base, m."""
-
-
-class Geometry(Strict):
-    """The box that holds the granular material, and the lattice in it."""
-
-    width: Length
-    """Extent along x, m."""
-    length: Length
-    """Extent along y, m."""
-    height: Length
-    """Extent along z when full, m."""
-    cell_size: Length
-    """Side of the cubic lattice cells, m."""
-    mask: Mask | None = None
-    """Where there is ground inside the box; without it everywhere."""
-    origin: MineOrigin | None = Field(None, exclude_if=lambda origin: origin is None)
-    """Where the corner of the base stands in the mine's coordinates; results carry it along."""
-
-    checks = (_lattice_fits, _mask_fits)
-
-    @property
-    def diameter(self) -> float | None:
-        """Diameter (m) of the cylinder mask, its default filled in; None for any other ground."""
-        if isinstance(self.mask, CylinderMask):
-            return self.mask.diameter or min(self.width, self.length)
-        return None
-
-    @property
-    def hydraulic_radius(self) -> float:
-        """Area over perimeter of the declared base, m."""
-        if self.diameter is not None:
-            return self.diameter / 4
-        return self.width * self.length / (2 * (self.width + self.length))
 
 
 # ---------------------------------------------------------------------------------------------
@@ -198,136 +87,13 @@ class Walls(Strict):
     """Friction angle between material and walls, degrees."""
 
 
-def _increasing(key: str, values) -> Iterator[Found]:
-    for place in range(1, len(values)):
-        if values[place] <= values[place - 1]:
-            yield (key, place), f"expected more than the one before it ({values[place - 1]:g})"
-
-
 class Filling(Strict):
     """The filling of a static experiment."""
 
     levels: Annotated[tuple[Length, ...], Field(min_length=1)]
     """Fill heights at which the load cells are read too, increasing, m."""
 
-    checks = (lambda levels: _increasing("levels", levels),)
-
-
-# ---------------------------------------------------------------------------------------------
-# stress and flow
-
-
-class Scatter(Strict):
-    """A normal distribution."""
-
-    mean: quantity("a number from -1000 to 1000", ge=-1000, le=1000)
-    """Mean, dimensionless."""
-    std: quantity("a number from 0 to 1000", ge=0, le=1000) = 0.0
-    """Standard deviation from cell to cell, dimensionless."""
-
-
-def _scatter(value: Any) -> Any:
-    if isinstance(value, dict | Scatter):
-        return value
-    return {"mean": read_number(value, "a number, or {mean, std}")}
-
-
-def _table_fits(height, value) -> Iterator[Found]:
-    yield from _increasing("height", height)
-    if len(height) != len(value):
-        text = f"expected as many values as heights ({len(height)}), these are {len(value)}"
-        yield ("value",), text
-
-
-class EMinTable(Strict):
-    """E_min by linear interpolation over height, constant beyond the ends."""
-
-    type: Literal["table"]
-    """Form of E_min."""
-    height: Annotated[tuple[Height, ...], Field(min_length=1)]
-    """Heights above the base, increasing, m."""
-    value: Annotated[tuple[Fraction, ...], Field(min_length=1)]
-    """E_min at these heights, fraction of load passed on."""
-
-    checks = (_table_fits,)
-
-
-class EMinPower(Strict):
-    """1 - E_min(h) = (1 - value) (h / at_height)^(-exponent), kept within [0, E]."""
-
-    type: Literal["power"]
-    """Form of E_min."""
-    at_height: Length
-    """Height above the base at which E_min is ``value``, m."""
-    value: Fraction
-    """E_min at that height, fraction of load passed on."""
-    exponent: quantity("a number from 0 to 10", ge=0, le=10) = 0.5
-    """How fast 1 - E_min falls with height; 0: not at all."""
-
-
-EMin = Annotated[EMinTable | EMinPower, Field(discriminator="type")]
-
-
-def _one_source_of_E(E, attenuation_length, from_) -> Iterator[Found]:
-    given = [
-        key
-        for key, value in (("E", E), ("attenuation_length", attenuation_length), ("from", from_))
-        if value is not None
-    ]
-    if len(given) != 1:
-        text = "expected exactly one of E, attenuation_length, from; " + (
-            f"these are {' and '.join(given)}" if given else "none is given"
-        )
-        yield (), text
-
-
-def _s_is_given(s, from_) -> Iterator[Found]:
-    if s is None and from_ is None:
-        yield ("s",), "missing; expected a number or {mean, std}"
-
-
-def _E_min_below_E(E, E_min) -> Iterator[Found]:
-    if E is None or E_min is None:
-        return
-    table = isinstance(E_min, EMinTable)
-    for place, value in enumerate(E_min.value if table else (E_min.value,)):
-        if value > E:
-            text = (
-                f"expected at most E ({E:g}): flowing ground passes on no more than ground at rest"
-            )
-            yield ("E_min", "value", *([place] if table else [])), text
-
-
-class Stress(Strict):
-    """How cells hand their load down; starting values where something is calibrated."""
-
-    E: Transmission | None = None
-    """Fraction of its load that a cell at rest passes on, for this cell size, in (0, 1]."""
-    attenuation_length: Length | None = None
-    """In place of E: the length c / (1 - E) over which load is shed, m."""
-    from_: FileStem | None = Field(None, alias="from")
-    """In place of E: the experiment whose calibrated parameters are taken."""
-    s: (
-        Annotated[Scatter, BeforeValidator(_scatter, json_schema_input_type=float | Scatter)] | None
-    ) = None
-    """Exponent of distance in the weights (1/d)^s: a number, or mean and std over the cells."""
-    R: Fraction | None = None
-    """Relaxation: factor in [0, 1] on weights onto movement-zone cells beside stagnant ones."""
-    E_min: EMin | None = None
-    """Fraction of its load that a cell in the movement zone passes on, by height."""
-    rule: Literal["inverse_distance", "multinomial"] = "inverse_distance"
-    """How weights follow from distances: eq. 4 alone, or eq. 3 of Gómez & Castro (2022)."""
-
-    checks = (_one_source_of_E, _s_is_given, _E_min_below_E)
-
-
-class Flow(Strict):
-    """How voids climb from the drawpoints."""
-
-    exponent: quantity("a number from 0 to 1000", ge=0, le=1000)
-    """Exponent n of distance in the probabilities (1/d)^n of a void's climb, dimensionless."""
-    bulking: Fraction
-    """Probability in [0, 1] that a void stays where it loosens stagnant ground."""
+    checks = (lambda levels: increasing("levels", levels),)
 
 
 # ---------------------------------------------------------------------------------------------
@@ -399,7 +165,7 @@ class Readings(Strict):
 
     checks = (
         _one_way_of_reading,
-        lambda at_mass_drawn: _increasing("at_mass_drawn", at_mass_drawn or ()),
+        lambda at_mass_drawn: increasing("at_mass_drawn", at_mass_drawn or ()),
     )
 
 

@@ -41,6 +41,13 @@ def size_order(particle_size) -> Iterator[Found]:
         yield ("particle_size",), "expected the smallest size first, then the largest"
 
 
+def increasing(key: str, values) -> Iterator[Found]:
+    """The check of a model with such a list under ``key``."""
+    for place in range(1, len(values)):
+        if values[place] <= values[place - 1]:
+            yield (key, place), f"expected more than the one before it ({values[place - 1]:g})"
+
+
 class Strict(BaseModel):
     """A frozen model without unknown keys; ``checks`` are its conditions across keys."""
 

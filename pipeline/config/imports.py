@@ -4,17 +4,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from pipeline.config.experiment import (
-    Density,
-    Flow,
-    FrictionAngle,
-    Length,
-    MineCoordinate,
-    Stress,
-    Strict,
-    Text,
-)
+from pipeline.config.fields import Density, FrictionAngle, Length, MineCoordinate, Strict, Text
 from pipeline.config.regions import ColumnValues, RegionMaterial
+from pipeline.config.stress import Flow, Stress
 
 
 class Columns(Strict):

@@ -7,15 +7,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag
 
 from pipeline.config.effects import unknown_effect
-from pipeline.config.experiment import (
-    DataLabel,
-    FileStem,
-    FromFile,
-    MassDrawn,
-    Parameter,
-    Strict,
-    Text,
-)
+from pipeline.config.experiment import DataLabel, Parameter
+from pipeline.config.fields import FileStem, FromFile, MassDrawn, Strict, Text
 from pipeline.config.messages import Found, did_you_mean, quantity, whole
 
 Scope = Literal["study", "material", "experiment", "load_cell"]

@@ -11,8 +11,8 @@ import xarray as xr
 from pipeline.files.atomic import write_text
 from pipeline.files.tables import as_csv
 from pipeline.files.units import KG_IN_T
+from pipeline.montecarlo.statistics import SUMMARY
 
-STATISTICS = ("mean", "p10", "p50", "p90")
 COLUMNS = (
     "experiment",
     "drawpoint",
@@ -23,8 +23,8 @@ COLUMNS = (
     "mass_to_t",
     "quantity",
     "unit",
-    *STATISTICS,
-    *(f"cumulative_{statistic}" for statistic in STATISTICS),
+    *SUMMARY,
+    *(f"cumulative_{statistic}" for statistic in SUMMARY),
     "replicates",
 )
 
@@ -51,7 +51,7 @@ def grade_rows(curves: xr.Dataset, experiment: str) -> Iterator[dict[str, Any]]:
             for quantity, variable in quantities(curves).items():
                 unit = curves[f"drawn_{variable}_mean"].attrs.get("units", "1")
                 row = shared | {"quantity": quantity, "unit": unit}
-                for statistic in STATISTICS:
+                for statistic in SUMMARY:
                     row[statistic] = float(curves[f"drawn_{variable}_{statistic}"][at])
                     until = float(curves[f"cumulative_{variable}_{statistic}"][at])
                     row[f"cumulative_{statistic}"] = until

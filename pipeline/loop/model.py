@@ -18,7 +18,6 @@ from pipeline.config.experiment import DRAW_PARAMETERS, Experiment
 from pipeline.config.measured import MeasuredRow
 from pipeline.config.study import Shared
 from pipeline.effects import Active, apply, declared_effects, effects, ordered
-from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.streams import LOOP_FLOW, LOOP_PACKING, random_stream
 from pipeline.montecarlo.workers import Execution, run_tasks
 from pipeline.observe import GEOMETRY, RowReader, only_measured
@@ -455,7 +454,7 @@ class Model:
 
     def _setup(self, case: Case, active: tuple[Active, ...]) -> Setup:
         experiment = case.experiment
-        made = make_setup(experiment, build_block_model(experiment), case.rows, effects=active)
+        made = make_setup(experiment, rows=case.rows, effects=active)
         return only_measured(made, case.rows)
 
     def _height(self, case: int, active: tuple[Active, ...]) -> float:

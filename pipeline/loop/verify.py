@@ -13,10 +13,9 @@ from pipeline.config.load import load_experiment
 from pipeline.config.measured import QUANTITIES, MeasuredRow
 from pipeline.config.study import Study
 from pipeline.effects import Active, declared_effects
-from pipeline.lattice.block_model import build_block_model
 from pipeline.loop.documents import point_from
 from pipeline.loop.problem import Problem
-from pipeline.montecarlo.replicates import replicates_dataset, run_replicates
+from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.workers import Execution
 from pipeline.observe import only_measured, simulated_rows
 from pipeline.parameters import Parameters, declared_parameters
@@ -69,11 +68,11 @@ def _compared(
     execution: Execution,
 ) -> dict[str, Any]:
     """`bias`, `mean_absolute_error` and `rmse` in kPa over stresses, and every reading."""
-    setup = make_setup(experiment, build_block_model(experiment), rows, effects=active)
+    setup = make_setup(experiment, rows=rows, effects=active)
     setup = only_measured(setup, rows)
     count = experiment.replicates
-    readings, _ = run_replicates(setup, parameters, count, execution, fields=False)
-    values = simulated_rows(experiment, replicates_dataset(setup, readings), rows)
+    dataset, _ = run_replicates(setup, parameters, count, execution, fields=False)
+    values = simulated_rows(experiment, dataset, rows)
     mean = values.mean(axis=0)
     spread = values.std(axis=0, ddof=1) if len(values) > 1 else np.full(len(rows), np.nan)
     in_kpa = np.array([QUANTITIES[row.quantity] == "kPa" for row in rows])

@@ -9,6 +9,7 @@ replicates with stresses of several times the overburden.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,30 +96,16 @@ class FieldSums:
         (time, z, y, x), float32, beside `mass_drawn` or `fill_height` (time).
 
         NaN outside the ground, above the filling, and, for stress, where no replicate (for its
-        standard deviation: at most one) has material.
+        standard deviation: at most one) has material. Double precision is used for one time at a
+        time: for all of them it would take more memory than the sums do.
         """
-        reference, unit, square_unit = _scales(self.setup)
-        n = self.granular.astype(np.float64)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            off = self.stress * unit / n
-            variance = (self.square * square_unit - n * off**2) / (n - 1.0)
-            mean = np.where(n > 0, off + reference[None, :, None, None], np.nan)
-            std = np.where(n > 1, np.sqrt(np.maximum(variance, 0.0)), np.nan)
-        ground = self._ground()
-        parts = {
-            "vertical_stress_mean": mean,
-            "vertical_stress_std": std,
-            "vertical_stress_first": np.nan if self.first is None else self.first,
-            "movement_zone_probability": self.movement / self.count,
-            "void_probability": self.void / self.count,
-            "bulk_density_mean": self.density * DENSITY_UNIT / self.count,
-        }
-        dims = ("time", "z", "y", "x")
-        data = {
-            name: (dims, np.where(ground, values, np.nan).astype(np.float32))
-            for name, values in parts.items()
-        }
         setup = self.setup
+        fields = defaultdict(lambda: np.empty(self.stress.shape, np.float32))
+        for t in range(setup.times):
+            ground = self._ground(t)
+            for name, values in self._at(t).items():
+                fields[name][t] = np.where(ground, values, np.nan)
+        data = {name: (("time", "z", "y", "x"), values) for name, values in fields.items()}
         clock = "mass_drawn" if setup.masses else "fill_height"
         data[clock] = ("time", np.array(setup.masses or setup.fill_levels))
         data["replicate_count"] = ((), np.int32(self.count))
@@ -127,12 +114,28 @@ class FieldSums:
         coords["realization"] = ((), np.int32(0))
         return xr.Dataset(data, coords=coords)
 
-    def _ground(self) -> np.ndarray:
-        """Places on (time, z, y, x) that are ground and, while filling, filled."""
-        inside = np.broadcast_to(self.setup.code != OUTSIDE, self.stress.shape)
-        if self.setup.masses:
-            return inside
-        return inside & (self.granular > 0)
+    def _at(self, t: int) -> dict[str, np.ndarray | float]:
+        """Fields (z, y, x) of one time, by name, whatever they are outside the ground."""
+        reference, unit, square_unit = _scales(self.setup)
+        n = self.granular[t].astype(np.float64)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            off = self.stress[t] * unit / n
+            variance = (self.square[t] * square_unit - n * off**2) / (n - 1.0)
+            mean = np.where(n > 0, off + reference[:, None, None], np.nan)
+            std = np.where(n > 1, np.sqrt(np.maximum(variance, 0.0)), np.nan)
+        return {
+            "vertical_stress_mean": mean,
+            "vertical_stress_std": std,
+            "vertical_stress_first": np.nan if self.first is None else self.first[t],
+            "movement_zone_probability": self.movement[t] / self.count,
+            "void_probability": self.void[t] / self.count,
+            "bulk_density_mean": self.density[t] * DENSITY_UNIT / self.count,
+        }
+
+    def _ground(self, t: int) -> np.ndarray:
+        """Places (z, y, x) that are ground and, while filling, filled."""
+        inside = self.setup.code != OUTSIDE
+        return inside if self.setup.masses else inside & (self.granular[t] > 0)
 
 
 def _scales(setup: Setup) -> tuple[np.ndarray, float, float]:

@@ -35,7 +35,8 @@ class Part:
 
     Attributes
     ----------
-    readings : by name, (replicate, ...) on `DIMS`; only what these replicates have
+    readings : by name, (replicate, ...) on `DIMS`; only what these replicates have, extraction
+        records padded with -1
     sums : of their fields; None where not asked for
     seconds : that they took
     """
@@ -54,7 +55,7 @@ class Part:
 
 
 def stack(replicates: Sequence[Readings]) -> dict[str, np.ndarray]:
-    """Readings by name, (replicate, ...)."""
+    """Readings of some replicates in order, as in `Part`."""
     stacked = {}
     for name, dims in DIMS.items():
         values = [getattr(readings, name) for readings in replicates]
@@ -64,18 +65,6 @@ def stack(replicates: Sequence[Readings]) -> dict[str, np.ndarray]:
             values = _padded(values)
         stacked[name] = np.array(values)
     return stacked
-
-
-def unstack(readings: dict[str, np.ndarray]) -> list[Readings]:
-    """One `Readings` for each replicate, without padding."""
-    each = []
-    for k in range(len(readings["vertical_stress"])):
-        own = {name: values[k] for name, values in readings.items()}
-        if "drawn_cell" in own:
-            length = np.count_nonzero(own["drawn_cell"] >= 0)
-            own |= {name: own[name][:length] for name, dims in DIMS.items() if dims == RAGGED}
-        each.append(Readings(**own))
-    return each
 
 
 class Collected:

@@ -16,12 +16,12 @@ from pipeline.config.experiment import StopAt
 from pipeline.files.netcdf import AS_DECLARED, WITHOUT_ZONE
 from pipeline.montecarlo.checkpoints import Checkpoints, Shelf
 from pipeline.montecarlo.fields import FieldSums
-from pipeline.montecarlo.parts import DIMS, Collected, Part, stack, unstack
+from pipeline.montecarlo.parts import DIMS, Collected, Part, stack
 from pipeline.montecarlo.progress import Progress
-from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
+from pipeline.montecarlo.streams import FLOW, PACKING, replicate_streams
 from pipeline.montecarlo.workers import Crew, Execution, crew, pieces
 from pipeline.parameters import Parameters
-from pipeline.simulate import Readings, Setup, load_cells, simulate
+from pipeline.simulate import Setup, load_cells, simulate
 
 log = logging.getLogger(__name__)
 
@@ -71,8 +71,8 @@ def run_replicates(
     execution: Execution = Execution(),
     purposes: tuple[int, int] = (PACKING, FLOW),
     fields: bool = True,
-) -> tuple[list[Readings], FieldSums | None]:
-    """Readings of `count` replicates in order and, if asked, the sums of their fields.
+) -> tuple[xr.Dataset, FieldSums | None]:
+    """Readings of `count` replicates and, if asked, the sums of their fields.
 
     `purposes` are the stream purposes of packing and flow.
     """
@@ -81,7 +81,7 @@ def run_replicates(
     with _crew_for(run, count, execution) as workers:
         _collect(run, count, collected, workers, execution.chunk)
     whole = collected.whole()
-    return unstack(whole.readings), whole.sums
+    return replicates_dataset(setup, whole.readings), whole.sums
 
 
 def run_experiment(
@@ -124,7 +124,7 @@ def run_experiment(
         }
     if checkpoints is not None:
         checkpoints.keep_only_whole()
-    return _dataset(setup, main.readings, others), main.sums.finalise()
+    return replicates_dataset(setup, main.readings, others), main.sums.finalise()
 
 
 def run_each(
@@ -132,8 +132,8 @@ def run_each(
     count: int,
     execution: Execution = Execution(),
     checkpoints: Checkpoints | None = None,
-) -> dict[str, list[Readings]]:
-    """Readings of the first `count` replicates of several runs of one setup, by the same names.
+) -> dict[str, dict[str, np.ndarray]]:
+    """Readings, as in `Part`, of the first `count` replicates of several runs, by the same names.
 
     What `checkpoints` hold of them is not computed again.
     """
@@ -141,7 +141,7 @@ def run_each(
     for name, run in runs.items():
         with _crew_for(run, count, execution) as workers:
             part = _run_on(run, count, None, workers, execution.chunk, f" {name}", checkpoints)
-        found[name] = unstack(part.readings)
+        found[name] = part.readings
     if checkpoints is not None:
         checkpoints.keep_only_whole()
     return found
@@ -252,17 +252,13 @@ def run_part(run: Run, first: int, last: int) -> Part:
     """Replicates `first` … `last` − 1; the sums go without the setup, which the caller has."""
     start = time.perf_counter()
     sums = FieldSums.empty(run.setup) if run.fields else None
-    experiment = run.setup.experiment
     replicates = []
     for replicate in range(first, last):
-        packing, flow = (
-            random_stream(experiment.seed, experiment.name, purpose, replicate)
-            for purpose in run.purposes
-        )
+        streams = replicate_streams(run.setup.experiment, replicate, run.purposes)
         observe = None
         if sums is not None:
             observe = sums.observe if replicate else sums.observe_first
-        replicates.append(simulate(*run.of(replicate), packing, flow, observe))
+        replicates.append(simulate(*run.of(replicate), *streams, observe))
     if sums is not None:
         sums.count, sums.setup = last - first, None
     return Part(first, last, stack(replicates), sums, time.perf_counter() - start)
@@ -270,19 +266,14 @@ def run_part(run: Run, first: int, last: int) -> Part:
 
 def replicates_dataset(
     setup: Setup,
-    replicates: Sequence[Readings],
-    variants: Mapping[str, Sequence[Readings]] | None = None,
+    readings: Mapping[str, np.ndarray],
+    variants: Mapping[str, Mapping[str, np.ndarray]] = {},
 ) -> xr.Dataset:
-    """Readings on (replicate, time, load_cell) with `mass_drawn` or `fill_height` (time).
+    """Readings, as in `Part`, with `mass_drawn` or `fill_height` (time) and the load cells.
 
     `variants` are the same replicates with other parameters, by the suffix that the names of
-    their stress readings get. The extraction record is padded with -1.
+    their stress readings get.
     """
-    others = {suffix: stack(readings) for suffix, readings in (variants or {}).items()}
-    return _dataset(setup, stack(replicates), others)
-
-
-def _dataset(setup, readings, variants) -> xr.Dataset:
     experiment = setup.experiment
     data = dict(_on_dims(readings))
     for suffix, others in variants.items():

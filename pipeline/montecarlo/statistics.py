@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 
 PERCENTILES = (10, 50, 90)  # that planners ask for
+SUMMARY = ("mean", *(f"p{percent}" for percent in PERCENTILES))
 SKIPPED = {"extraction", "x", "y", "z"}  # variables on these dims stay with the replicates
 
 

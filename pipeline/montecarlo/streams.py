@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
+
+from pipeline.config.experiment import Experiment
 
 # What a stream is for; a new purpose takes a new number, and none is ever changed.
 (
@@ -30,6 +33,13 @@ def random_stream(seed: int, experiment: str, purpose: int, replicate: int) -> n
     """
     sequence = np.random.SeedSequence(seed, spawn_key=(_number(experiment), purpose, replicate))
     return np.random.Generator(np.random.PCG64(sequence))
+
+
+def replicate_streams(
+    experiment: Experiment, replicate: int, purposes: Sequence[int] = (PACKING, FLOW)
+) -> list[np.random.Generator]:
+    """The streams that `simulate` takes for a replicate of an experiment: packing and flow."""
+    return [random_stream(experiment.seed, experiment.name, one, replicate) for one in purposes]
 
 
 @cache

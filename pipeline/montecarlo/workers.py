@@ -36,7 +36,7 @@ CONNECT = "10s"  # for the scheduler to answer
 LOSSES = 4  # times that a result may be lost with its worker
 # of glibc: what may stay free at the end of the heap, and the size from which arrays are mapped
 MALLOC_SETTINGS = {-1: 2**28, -3: 2**25}
-KEPT = "Finished replicates are kept: the next run goes on from them."
+KEPT = "What is finished is kept: the next run goes on from there."
 
 log = logging.getLogger(__name__)
 

@@ -14,7 +14,7 @@ from pipeline.config.measured import MeasuredRow
 from pipeline.effects import State
 from pipeline.lattice.adjoint import Influence, influence
 from pipeline.lattice.stress import stress_sweep
-from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
+from pipeline.montecarlo.streams import replicate_streams
 from pipeline.observe import SPREAD, STRESS, reading_index
 from pipeline.parameters import Parameters
 from pipeline.simulate import KPA, FlowRecord, Setup, Sweep, load_cells, simulate
@@ -115,10 +115,7 @@ def load_cell_footprint(setup: Setup, parameters: Parameters) -> xr.DataArray:
         setup = replace(setup, masses=setup.masses[:1], to_the_end=False)
     total = 0.0
     for replicate in range(count):
-        streams = (
-            random_stream(experiment.seed, experiment.name, purpose, replicate)
-            for purpose in (PACKING, FLOW)
-        )
+        streams = replicate_streams(experiment, replicate)
         found: list[np.ndarray] = []
 
         def inspect(t: int, sweep: Sweep, state: State, found=found) -> None:

@@ -100,14 +100,14 @@ def _mean_stress(
     """
     block_model = build_block_model(experiment)
     setup = make_setup(experiment, block_model, effects=active)
-    readings, sums = run_replicates(setup, declared_parameters(experiment), REPLICATES, execution)
+    dataset, sums = run_replicates(setup, declared_parameters(experiment), REPLICATES, execution)
     field = sums.finalise()["vertical_stress_mean"].values[-1]
     section = _level_mean(field, setup)
     levels = block_model.sizes["z"]
     height = np.full((levels, section.shape[1]), np.nan)
     kept = min(levels, len(section))
     height[:kept] = section[:kept]
-    return height, float(np.mean([r.base_vertical_stress[-1] for r in readings]))
+    return height, float(dataset["base_vertical_stress"][:, -1].mean())
 
 
 def _level_mean(field: np.ndarray, setup: Setup) -> np.ndarray:

@@ -14,14 +14,14 @@ import xarray as xr
 from pipeline import effects as catalogue
 from pipeline.calibrate.calibration import SCALES
 from pipeline.config.effects import NOT_MEASURED
-from pipeline.config.experiment import DRAW_PARAMETERS, EMinTable
+from pipeline.config.experiment import DRAW_PARAMETERS
 from pipeline.config.measured import QUANTITIES, MeasuredRow
+from pipeline.config.stress import EMinTable
 from pipeline.effects import Active, State, apply, lacking, ordered
 from pipeline.lattice.adjoint import Influence
-from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import MOVEMENT, STAGNANT
-from pipeline.montecarlo.replicates import replicates_dataset, run_replicates
-from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, random_stream
+from pipeline.montecarlo.replicates import run_replicates
+from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, replicate_streams
 from pipeline.montecarlo.workers import Execution, run_tasks
 from pipeline.observe import GEOMETRY, simulated_rows
 from pipeline.parameters import Parameters
@@ -226,10 +226,10 @@ def _dataset(case, simulated, columns) -> xr.Dataset:
 
 
 class _Evaluation(NamedTuple):
-    """Rows (replicate, row), and the cells that each replicate drew, in order."""
+    """Rows (replicate, row), and the cells (replicate, extraction) that were drawn, in order."""
 
     values: np.ndarray
-    drawn: list[np.ndarray]
+    drawn: np.ndarray
 
 
 class _Model:
@@ -255,11 +255,10 @@ class _Model:
 
     def _run(self, parameters, effects, count) -> _Evaluation:
         setup = self.with_effects(effects)
-        readings, _ = run_replicates(
+        dataset, _ = run_replicates(
             setup, parameters, count, self.execution, self.purposes, fields=False
         )
-        dataset = replicates_dataset(setup, readings)
-        drawn = [one.drawn_cell for one in readings] if setup.masses else []
+        drawn = dataset["drawn_cell"].values if setup.masses else np.zeros(0)
         return _Evaluation(simulated_rows(setup.experiment, dataset, self.case.rows), drawn)
 
     def with_effects(self, effects: tuple[Active, ...]) -> Setup:
@@ -267,9 +266,8 @@ class _Model:
         setup, rows = self.case.setup, self.case.rows
         height = setup.experiment.geometry.height
         if apply(effects, "geometry", height) != apply(setup.effects, "geometry", height):
-            block_model = build_block_model(setup.experiment)
             dtype = setup.cell_weight.dtype.type
-            made = make_setup(setup.experiment, block_model, rows, dtype, effects)
+            made = make_setup(setup.experiment, rows=rows, dtype=dtype, effects=effects)
             levels = setup.fill_levels
             setup = replace(
                 made,
@@ -375,7 +373,7 @@ class _Stencil:
     def draws_otherwise(self) -> bool:
         """Whether other cells are drawn at the two ends of the step."""
         one, other = (self._end(end * self.step).drawn for end in self._ends)
-        return not all(map(np.array_equal, one, other))
+        return not np.array_equal(one, other)
 
 
 def _differences(model: _Model, direction: _Direction, scale: float, count: int) -> _Column:
@@ -439,7 +437,6 @@ def _adjoint(model: _Model, count: int, wanted: Iterable[str]) -> dict[str, np.n
     names = {name: place for name, place in names.items() if name in wanted}
     if not names:
         return {}
-    experiment = model.experiment
 
     def project(sweep: Sweep, state: State, found: Influence) -> np.ndarray:
         shed = np.where(_follows_E(sweep, parameters), sweep.shed_fraction, 0.0)
@@ -448,7 +445,7 @@ def _adjoint(model: _Model, count: int, wanted: Iterable[str]) -> dict[str, np.n
         return np.column_stack([by_log_shed, by_factor])
 
     def gradient(k: int) -> np.ndarray:
-        streams = (random_stream(experiment.seed, experiment.name, p, k) for p in model.purposes)
+        streams = replicate_streams(setup.experiment, k, model.purposes)
         return row_gradients(setup, parameters, rows, project, *streams)
 
     gradients = run_tasks([partial(gradient, k) for k in range(count)], model.execution)

@@ -8,7 +8,8 @@ from test_scores import effect, predictions, result, truth
 
 from pipeline.blind import injection, laboratory
 from pipeline.blind.attacks import ATTACKED, ATTACKS, attack_of
-from pipeline.blind.scores import Scored, score
+from pipeline.blind.scored import Scored
+from pipeline.blind.scores import score
 from pipeline.blind.worlds import draw_world, kind_of, make_worlds
 from pipeline.config.load import check_measured, load_experiments, load_studies
 from pipeline.report.blind import attack_tables

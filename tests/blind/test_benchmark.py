@@ -10,7 +10,7 @@ import pytest
 from pipeline.blind import injection, laboratory, loops, worlds
 from pipeline.blind.benchmark import run_benchmark, score_benchmark
 from pipeline.blind.loops import close_world, run_worlds
-from pipeline.blind.scores import SealBrokenError
+from pipeline.blind.scored import SealBrokenError
 from pipeline.blind.seal import SealedError, sealed
 from pipeline.blind.tasks import each
 from pipeline.files.atomic import read_json

@@ -8,7 +8,8 @@ import pytest
 
 from pipeline.blind import injection, remeasured, worlds
 from pipeline.blind.remeasured import extended, measure_again, outcomes
-from pipeline.blind.scores import CHOICES, Scored, is_resolved, score
+from pipeline.blind.scored import CHOICES, Scored, is_resolved
+from pipeline.blind.scores import score
 from pipeline.blind.worlds import draw_world
 from pipeline.config.load import check_measured, load_experiments, load_studies
 from pipeline.files.atomic import read_json, write_json, write_text
@@ -259,4 +260,3 @@ def test_the_bar_counts_undecided_worlds_with_one_effect():
     assert (bar["figure"], bar["met"], bar["met_stretch"]) == (pytest.approx(2 / 3), True, True)
     beside = bars["the same by a measurement chosen at random"]
     assert (beside["figure"], beside["met"]) == (pytest.approx(1 / 3), None)
-    assert remeasured.CHOICES == CHOICES

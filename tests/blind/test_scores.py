@@ -7,7 +7,8 @@ import math
 import pytest
 from scipy.stats import binomtest
 
-from pipeline.blind.scores import Scored, SealBrokenError, append_log, open_world, rate, score
+from pipeline.blind.scored import Scored, SealBrokenError, open_world
+from pipeline.blind.scores import append_log, rate, score
 from pipeline.effects import effects
 
 

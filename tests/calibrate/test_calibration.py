@@ -9,10 +9,9 @@ from scipy.stats import binom, chi2
 from pipeline.calibrate.calibration import SCALES, Z90, calibrate
 from pipeline.config.load import check_measured
 from pipeline.config.measured import MeasuredRow
-from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.grid import GRAVITY
 from pipeline.lattice.stress import closed_form_stress
-from pipeline.montecarlo.replicates import replicates_dataset, run_replicates
+from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING
 from pipeline.observe import row_covariance, simulated_rows
 from pipeline.parameters import Parameters, declared_parameters
@@ -43,7 +42,7 @@ def row(quantity="vertical_stress", value=8.0, std=0.5, **changes):
 
 
 def setup_of(experiment, rows=()):
-    return make_setup(experiment, build_block_model(experiment), rows)
+    return make_setup(experiment, rows=rows)
 
 
 def fit(experiment, rows):
@@ -53,8 +52,8 @@ def fit(experiment, rows):
 def simulated(experiment, rows, parameters, count, **purposes):
     """Rows (replicate, row), on streams apart from those of the calibration unless asked."""
     setup = setup_of(experiment, rows)
-    readings, _ = run_replicates(setup, parameters, count, fields=False, **purposes)
-    return simulated_rows(experiment, replicates_dataset(setup, readings), rows)
+    dataset, _ = run_replicates(setup, parameters, count, fields=False, **purposes)
+    return simulated_rows(experiment, dataset, rows)
 
 
 @pytest.fixture(scope="module")

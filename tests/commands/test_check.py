@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from specs import expectations
 
 CORPUS = Path(__file__).parents[1] / "config" / "bad"
 EXPERIMENTS = sorted((CORPUS / "experiments").glob("*/*.yaml"))
@@ -13,11 +14,6 @@ STUDIES = sorted((CORPUS / "studies").glob("*.yaml"))
 OTHERS = sorted(path for kind in ("comparisons", "imports") for path in (CORPUS / kind).glob("*"))
 TABLES = sorted((CORPUS / "experiments").glob("*/measured/*.csv"))
 OTHERS_ONLY = "other_experiments_only"  # told in other words where the table itself is checked
-
-
-def expectations(path: Path) -> list[str]:
-    lines = path.read_bytes().decode("utf-8", "replace").splitlines()
-    return [line.removeprefix("# expect: ") for line in lines if line.startswith("# expect: ")]
 
 
 @pytest.mark.parametrize(

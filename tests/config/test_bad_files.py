@@ -6,6 +6,7 @@ Expectations stand in the files' first lines: ``# expect: TEXT``, one or more.
 from pathlib import Path
 
 import pytest
+from specs import expectations
 
 from pipeline.config.load import (
     load_comparison,
@@ -21,11 +22,6 @@ STUDIES = sorted((BAD / "studies").glob("*.yaml"))
 COMPARISONS = sorted((BAD / "comparisons").glob("*.yaml"))
 IMPORTS = sorted((BAD / "imports").glob("*.yaml"))
 TABLES = sorted((BAD / "experiments").glob("*/measured/*.csv"))
-
-
-def expectations(path: Path) -> list[str]:
-    lines = path.read_bytes().decode("utf-8", "replace").splitlines()
-    return [line.removeprefix("# expect: ") for line in lines if line.startswith("# expect: ")]
 
 
 def identify(path: Path) -> str:

@@ -11,9 +11,9 @@ from scipy.optimize import least_squares
 from pipeline.config.experiment import Experiment
 from pipeline.config.load import check_measured, load_experiments
 from pipeline.effects import Active, effects
-from pipeline.lattice.block_model import build_block_model
+from pipeline.montecarlo.parts import stack
 from pipeline.montecarlo.replicates import replicates_dataset
-from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, random_stream
+from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, replicate_streams
 from pipeline.observe import STRESS, simulated_rows
 from pipeline.parameters import Parameters, declared_parameters
 from pipeline.simulate import make_setup, simulate
@@ -42,7 +42,7 @@ class Case:
         source = self.experiment.stress.from_
         sources = {source: declared_parameters(experiments()[source])} if source else None
         self.parameters = declared_parameters(self.experiment, sources)
-        self.setup = make_setup(self.experiment, build_block_model(self.experiment), self.rows)
+        self.setup = make_setup(self.experiment, rows=self.rows)
         if not self.experiment.is_draw:
             heights = {row.fill_height or self.experiment.geometry.height for row in self.rows}
             levels = tuple(h for h in self.setup.fill_levels if h in heights)
@@ -53,14 +53,11 @@ class Case:
         setup = replace(self.setup, effects=tuple(active))
         readings = []
         for i in range(self.replicates):
-            packing, flow = (
-                random_stream(self.experiment.seed, self.experiment.name, purpose, i)
-                for purpose in (CALIBRATION_PACKING, CALIBRATION_FLOW)
-            )
-            readings.append(simulate(setup, parameters, packing, flow))
-        return simulated_rows(self.experiment, replicates_dataset(setup, readings), self.rows).mean(
-            axis=0
-        )
+            purposes = (CALIBRATION_PACKING, CALIBRATION_FLOW)
+            streams = replicate_streams(self.experiment, i, purposes)
+            readings.append(simulate(setup, parameters, *streams))
+        dataset = replicates_dataset(setup, stack(readings))
+        return simulated_rows(self.experiment, dataset, self.rows).mean(axis=0)
 
 
 def on(name: str, **values) -> Active:

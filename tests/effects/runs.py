@@ -6,7 +6,6 @@ import numpy as np
 
 from pipeline.config.experiment import Experiment
 from pipeline.effects import Active, effects
-from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import Readings, load_cells, make_setup, simulate
@@ -68,9 +67,7 @@ def run(
     experiment: Experiment, active: Iterable[Active] = (), replicates=1, dtype=np.float32, **more
 ) -> list[Readings]:
     """Replicates with these effects."""
-    setup = make_setup(
-        experiment, build_block_model(experiment), dtype=dtype, effects=tuple(active)
-    )
+    setup = make_setup(experiment, dtype=dtype, effects=tuple(active))
     parameters = declared_parameters(experiment)
     return [
         simulate(

@@ -338,7 +338,7 @@ def test_calibration_document_is_json(column, tmp_path):
     from pipeline.files.atomic import read_json, write_json
 
     experiment = column(calibrate=["E"])
-    setup = make_setup(experiment, build_block_model(experiment))
+    setup = make_setup(experiment)
     document = calibrate(experiment, setup, declared_parameters(experiment), ())
     write_json(tmp_path / "calibration.json", document)
     assert read_json(tmp_path / "calibration.json")["parameters_used"]["E"] == 0.9

@@ -274,7 +274,7 @@ def test_a_lost_load_stops_the_run(column, monkeypatch):
         base_load[:] = 1.0
         return 2.0 * base_load.sum(), 0.0
 
-    monkeypatch.setattr("pipeline.simulate.stress_sweep", leaky)
+    monkeypatch.setattr("pipeline.simulate.readings.stress_sweep", leaky)
     with pytest.raises(WeightBalanceError, match=r"column: weight balance is off by 0\.5"):
         simulate(setup, declared_parameters(experiment), random_stream(1, "column", PACKING, 0))
 

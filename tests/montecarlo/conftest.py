@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.replicates import run_experiment
 from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import declared_parameters
@@ -28,7 +27,7 @@ def setup(request, column, drawn):
     make = column if request.param == "static" else drawn
     changes = {"filling": {"levels": [0.3]}} if request.param == "static" else {}
     experiment = make(replicates=10, keep_fields=True, **changes)
-    return make_setup(experiment, build_block_model(experiment))
+    return make_setup(experiment)
 
 
 @pytest.fixture(scope="session")

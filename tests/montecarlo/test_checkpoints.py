@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.config.experiment import LoadCell
-from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo import checkpoints, replicates
 from pipeline.montecarlo.checkpoints import Checkpoints
 from pipeline.montecarlo.parts import Collected
@@ -69,7 +68,7 @@ def stopped(monkeypatch, setup, run):
 
 def with_count(setup, count, **changes):
     experiment = setup.experiment.model_copy(update={"replicates": count, **changes})
-    return make_setup(experiment, build_block_model(experiment))
+    return make_setup(experiment)
 
 
 @pytest.mark.parametrize("after", [1, 3, 5])
@@ -126,7 +125,7 @@ def test_what_decides_a_replicate_finds_no_other_s(setup, run, computed, tmp_pat
         if isinstance(content, dict):
             content = getattr(experiment, block).model_copy(update=content)
         experiment = experiment.model_copy(update={block: content})
-    other = make_setup(experiment, build_block_model(experiment))
+    other = make_setup(experiment)
     run(other, Execution(), Checkpoints(tmp_path, code))
     assert len(computed) == first
 

@@ -6,7 +6,6 @@ import distributed
 import pytest
 from clusters import Counted, break_at_three, dask_cluster, kill, slowly
 
-from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo import workers
 from pipeline.montecarlo.progress import Progress
 from pipeline.montecarlo.workers import Execution, WorkersLostError, crew
@@ -57,7 +56,7 @@ def once(monkeypatch):
 def many(column):
     """A setup with replicates for a second or two, and not all of them done at once."""
     experiment = column(replicates=4000)
-    return make_setup(experiment, build_block_model(experiment))
+    return make_setup(experiment)
 
 
 @pytest.mark.parametrize("chunk", [1, 4, None])
@@ -95,7 +94,7 @@ def test_a_worker_out_of_memory_says_what_ran_where_and_what_helps(column, tmp_p
     levels = [0.05 * k for k in range(1, 60)]
     geometry = {"width": 1.5, "length": 1.5, "height": 3.0, "cell_size": 0.05}
     experiment = column("heavy", geometry=geometry, filling={"levels": levels}, replicates=2)
-    setup = make_setup(experiment, build_block_model(experiment))
+    setup = make_setup(experiment)
     allowed = {"DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": 0}
     with dask_cluster(tmp_path, 1, memory="400MB", **allowed) as small:
         with pytest.raises(WorkersLostError) as caught:
@@ -142,10 +141,10 @@ def test_a_scheduler_that_does_not_answer_is_named(address, monkeypatch):
 def test_workers_with_other_code_are_refused(column, tmp_path, run, repository):
     code = tmp_path / "code" / "pipeline"
     shutil.copytree(repository / "pipeline", code, ignore=shutil.ignore_patterns("__pycache__"))
-    with open(code / "simulate.py", "a") as file:
+    with open(code / "simulate" / "__init__.py", "a") as file:
         file.write("\nGRAVITY = 9.8\n")
     experiment = column(replicates=2)
-    setup = make_setup(experiment, build_block_model(experiment))
+    setup = make_setup(experiment)
     with dask_cluster(tmp_path / "dask", 1, code=tmp_path / "code") as other:
         with pytest.raises(WorkersLostError) as caught:
             run(setup, Execution(1, other.address))

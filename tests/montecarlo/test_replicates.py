@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo import replicates, workers
-from pipeline.montecarlo.replicates import replicates_dataset, run_experiment, run_replicates
+from pipeline.montecarlo.replicates import run_experiment, run_replicates
 from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import declared_parameters
 from pipeline.simulate import make_setup, visits
@@ -28,7 +27,6 @@ def test_a_replicate_does_not_depend_on_how_many_there_are(setup):
     declared = declared_parameters(setup.experiment)
     few, _ = run_replicates(setup, declared, 3, fields=False)
     many, _ = run_replicates(setup, declared, 9, fields=False)
-    few, many = (replicates_dataset(setup, readings) for readings in (few, many))
     for name in few.data_vars:
         if few[name].dims[:1] == ("replicate",):
             kept = few[name].values
@@ -40,14 +38,13 @@ def test_a_replicate_does_not_depend_on_how_many_there_are(setup):
 def test_replicates_and_experiments_differ_from_each_other(setup, alone, run):
     base = alone[0]["base_vertical_stress_std"].values[:, -1]
     assert len(set(base)) == len(base)
-    other = make_setup(setup.experiment.at("elsewhere.yaml"), build_block_model(setup.experiment))
+    other = make_setup(setup.experiment.at("elsewhere.yaml"))
     assert not np.any(np.isin(run(other)[0]["base_vertical_stress_std"], base))
 
 
 def test_what_calibration_changed_stands_beside_the_declared_run(setup, alone):
     declared = declared_parameters(setup.experiment)
-    readings, _ = run_replicates(setup, declared, 10, fields=False)
-    expected = replicates_dataset(setup, readings)
+    expected, _ = run_replicates(setup, declared, 10, fields=False)
     np.testing.assert_array_equal(
         alone[0]["vertical_stress_as_declared"], expected["vertical_stress"]
     )

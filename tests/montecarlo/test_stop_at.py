@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from pipeline.config.experiment import StopAt
-from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo import checkpoints
 from pipeline.montecarlo.checkpoints import Checkpoints
 from pipeline.montecarlo.workers import Execution
@@ -23,7 +22,7 @@ def stopping(column):
         if standard_error is not None:
             stop_at = StopAt(standard_error=standard_error, at_least=at_least)
             experiment = experiment.model_copy(update={"stop_at": stop_at})
-        return make_setup(experiment, build_block_model(experiment))
+        return make_setup(experiment)
 
     return make
 

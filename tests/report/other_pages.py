@@ -9,7 +9,8 @@ from comparisons import MadeComparison
 from pages import Made
 from studies import MadeStudy
 
-from pipeline.blind.scores import Scored, score
+from pipeline.blind.scored import Scored
+from pipeline.blind.scores import score
 from pipeline.effects import effects
 from pipeline.files.atomic import write_json, write_text
 from pipeline.report.blind import write_blind_report

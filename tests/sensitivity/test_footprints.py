@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.effects import Active
-from pipeline.lattice.block_model import build_block_model
-from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
+from pipeline.montecarlo.streams import FLOW, PACKING, random_stream, replicate_streams
 from pipeline.parameters import declared_parameters
 from pipeline.sensitivity import footprints
 from pipeline.sensitivity.footprints import gradient_cost, influence_fields
@@ -33,7 +32,7 @@ def setup(request, column, drawn):
     else:
         experiment = column(filling={"levels": [0.25, 0.7]}, geometry={"height": 0.95})
     effects = LINEAR if request.param.endswith("effects") else ()
-    return make_setup(experiment, build_block_model(experiment), effects=effects)
+    return make_setup(experiment, effects=effects)
 
 
 @pytest.mark.parametrize("at", [0, -1])
@@ -53,7 +52,7 @@ def test_footprint_in_log_shed_is_the_slope_of_the_reading_in_E(column):
             {"name": "middle", "x": 0.25, "y": 0.2, "width": 0.1, "length": 0.13},
         ],
     )
-    setup = make_setup(experiment, build_block_model(experiment), dtype=np.float64)
+    setup = make_setup(experiment, dtype=np.float64)
     parameters = declared_parameters(experiment)
     fields = influence_fields(setup, parameters, *streams(), at=0)
     assert fields.sizes == {"load_cell": 1, "z": 7, "y": 4, "x": 5}
@@ -67,14 +66,14 @@ def test_footprint_in_log_shed_is_the_slope_of_the_reading_in_E(column):
 
 def test_a_reading_that_does_not_exist_is_an_index_error(column):
     experiment = column()
-    setup = make_setup(experiment, build_block_model(experiment))
+    setup = make_setup(experiment)
     with pytest.raises(IndexError):
         influence_fields(setup, declared_parameters(experiment), *streams(), at=1)
 
 
 def test_cost_of_a_gradient_is_measured_against_a_forward_sweep(column):
     experiment = column()
-    setup = make_setup(experiment, build_block_model(experiment))
+    setup = make_setup(experiment)
     cost = gradient_cost(setup, declared_parameters(experiment), streams()[0], repeats=2)
     assert cost["cells"] == 10 * 4 * 5
     assert cost["ratio"] == cost["gradient"] / cost["forward"] > 0
@@ -83,14 +82,11 @@ def test_cost_of_a_gradient_is_measured_against_a_forward_sweep(column):
 @pytest.mark.parametrize("cells", [1.0, 1e9])
 def test_footprints_are_the_same_load_cell_by_load_cell_or_all_at_once(drawn, monkeypatch, cells):
     experiment = drawn(replicates=2)
-    setup = make_setup(experiment, build_block_model(experiment))
+    setup = make_setup(experiment)
     parameters = declared_parameters(experiment)
     expected = 0.0
     for replicate in range(2):
-        random = (
-            random_stream(experiment.seed, experiment.name, purpose, replicate)
-            for purpose in (PACKING, FLOW)
-        )
+        random = replicate_streams(experiment, replicate)
         fields = influence_fields(setup, parameters, *random, at=0)
         share = fields["weight_influence"] * fields["weight"] / fields["vertical_stress"]
         expected = expected + share.sum("y").transpose("load_cell", "z", "x").values

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from pipeline import effects as catalogue
-from pipeline.config.experiment import EMinPower, EMinTable
 from pipeline.config.measured import MeasuredRow
+from pipeline.config.stress import EMinPower, EMinTable
 from pipeline.effects import Active, Effect, Parameter
-from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import MOVEMENT, STAGNANT
-from pipeline.montecarlo.replicates import replicates_dataset, run_replicates
-from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, random_stream
+from pipeline.montecarlo.replicates import run_replicates
+from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, replicate_streams
 from pipeline.montecarlo.workers import Execution
 from pipeline.observe import simulated_rows
 from pipeline.parameters import declared_parameters
@@ -72,8 +71,7 @@ def column_case(column):
         cell = {"name": "corner", "x": 0.1, "y": 0.1, "width": 0.15, "length": 0.2}
         defaults = {"load_cells": [cell], "walls": {"friction_angle": 25}}
         experiment = column(**(defaults | changes))
-        model = build_block_model(experiment)
-        setup = make_setup(experiment, model, COLUMN_ROWS, np.float64)
+        setup = make_setup(experiment, rows=COLUMN_ROWS, dtype=np.float64)
         return Case(setup, declared_parameters(experiment), tuple(effects), COLUMN_ROWS)
 
     return make
@@ -83,7 +81,7 @@ def column_case(column):
 def drawn_case(drawn):
     def make(effects=(), **changes) -> Case:
         experiment = drawn(**changes)
-        setup = make_setup(experiment, build_block_model(experiment), DRAWN_ROWS, np.float64)
+        setup = make_setup(experiment, rows=DRAWN_ROWS, dtype=np.float64)
         return Case(setup, declared_parameters(experiment), tuple(effects), DRAWN_ROWS)
 
     return make
@@ -93,13 +91,11 @@ def simulated(case, parameters=None, count=COUNT, effects=None) -> np.ndarray:
     """Mean rows (row) on the streams of the sensitivities."""
     setup = case.setup
     if effects is not None:
-        model = build_block_model(setup.experiment)
-        setup = make_setup(setup.experiment, model, case.rows, np.float64, effects)
+        setup = make_setup(setup.experiment, rows=case.rows, dtype=np.float64, effects=effects)
     purposes = (CALIBRATION_PACKING, CALIBRATION_FLOW)
-    readings, _ = run_replicates(
+    dataset, _ = run_replicates(
         setup, parameters or case.parameters, count, Execution(), purposes, fields=False
     )
-    dataset = replicates_dataset(setup, readings)
     return simulated_rows(setup.experiment, dataset, case.rows).mean(axis=0)
 
 
@@ -168,7 +164,7 @@ def test_gradients_along_any_directions_come_from_one_simulation(drawn_case):
 
     experiment = setup.experiment
     purposes = (CALIBRATION_PACKING, CALIBRATION_FLOW)
-    streams = (random_stream(experiment.seed, experiment.name, p, 0) for p in purposes)
+    streams = replicate_streams(experiment, 0, purposes)
     slopes = row_gradients(setup, case.parameters, case.rows, project, *streams, of_relaxation=True)
     slopes[:, 0] /= case.parameters.R  # from log R
     np.testing.assert_allclose(slopes, found.sensitivity, rtol=1e-4, atol=1e-9)

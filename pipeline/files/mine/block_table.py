@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.config.imports import ImportSettings
 from pipeline.config.messages import ConfigError
-from pipeline.files.mine.tables import Table, read_lines, read_table, split
+from pipeline.files.mine.tables import Table, above_0, read_lines, read_table, split
 from pipeline.files.units import FACTORS
 
 ROLES = {  # how other programs call a column, spelled as by `folded`
@@ -94,7 +94,7 @@ def read_block_table(path: str | Path, settings: ImportSettings) -> BlockTable:
     given = [role for role in ("dx", "dy", "dz") if found[role] is not None]
     if len(given) == 3:
         expected = f"an extent in {unit}, above 0"
-        sizes = np.column_stack([table.numbers(found[r], expected, _above_0) for r in given])
+        sizes = np.column_stack([table.numbers(found[r], expected, above_0) for r in given])
         sizes *= factor
     elif given:
         missing = ", ".join(sorted({"dx", "dy", "dz"} - set(given)))
@@ -204,7 +204,3 @@ def _refuse_rotation(table: Table) -> None:
                 f"its comments declare {found[1].lower()} {found[2]}°; export the model unrotated, "
                 "in its own axes"
             )
-
-
-def _above_0(value: float) -> bool:
-    return value > 0

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 import yaml
 
-from pipeline.config.experiment import MAX_CELLS
+from pipeline.config.geometry import MAX_CELLS
 from pipeline.config.imports import ImportedRegion, ImportSettings
 from pipeline.config.load import load_experiment
 from pipeline.config.messages import NAME_PATTERN, ConfigError, shown_path

@@ -33,7 +33,7 @@ from pipeline.config.measured import COLUMNS, MeasuredError, read_measured
 from pipeline.config.messages import ConfigError, did_you_mean, shown
 from pipeline.files.atomic import write_text
 from pipeline.files.mine.massflow import Schedule
-from pipeline.files.mine.tables import Table, folded, read_table
+from pipeline.files.mine.tables import Table, above_0, folded, read_table
 from pipeline.files.units import FACTORS, KG_IN_T
 
 _UNITS = {unit.lower(): unit for unit in FACTORS["stress"]}
@@ -128,13 +128,13 @@ def convert(path: str | Path, experiment: Experiment, calendar: Calendar | None)
             table.problems.append(
                 f"line {line}, load_cell = {shown(cell)}: not in {experiment.name}{hint}"
             )
-    std = _in_kpa(table, found["std"], "a standard deviation above 0", _above_0)
+    std = _in_kpa(table, found["std"], "a standard deviation above 0", above_0)
     shared = np.zeros(len(table.rows))
     if "stress" in found:
-        stress = _in_kpa(table, found["stress"], "a stress above 0", _above_0)
+        stress = _in_kpa(table, found["stress"], "a stress above 0", above_0)
     else:
         change = _in_kpa(table, found["stress_change"], "a change of stress")
-        stress = change + _in_kpa(table, found["initial"], "a stress above 0", _above_0)
+        stress = change + _in_kpa(table, found["initial"], "a stress above 0", above_0)
         shared = _in_kpa(
             table, found["initial_std"], "a standard deviation, 0 or more", _at_least_0
         )
@@ -287,10 +287,6 @@ def _refuse_repeated(table: Table, cells, masses) -> None:
             )
         first.setdefault(key, line)
     table.say(wrong)
-
-
-def _above_0(value: float) -> bool:
-    return value > 0
 
 
 def _at_least_0(value: float) -> bool:

@@ -92,6 +92,11 @@ def some_of(problems: Sequence[str]) -> Iterator[str]:
         yield f"... and {len(problems) - MOST_SHOWN} more rows like these"
 
 
+def above_0(value: float) -> bool:
+    """What most numbers of a table have to be."""
+    return value > 0
+
+
 def folded(name: str) -> str:
     """A column's name as it is looked for: letters and digits alone, in lower case."""
     return re.sub(r"[^a-z0-9]", "", name.lower())

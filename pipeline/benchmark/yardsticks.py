@@ -1,4 +1,4 @@
-"""What `pipeline.benchmark` measures the kernels against; nothing else uses it.
+"""What the kernels are measured against; nothing else uses it.
 
 `triad` and `random_reads` are what the machine's memory gives; `published_sweep` is what others do.
 """
