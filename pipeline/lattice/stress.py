@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from pipeline.lattice.cells import MOVEMENT, OUTSIDE, STAGNANT
+from pipeline.lattice.solid import is_solid, solid_rows, through_solid
 
 LEAST_RECEPTIVITY = 1e-100  # R = 0 still lets a cell without stagnant receivers hand its load on
 
@@ -203,97 +204,65 @@ def _sweep(
     dtype = weight.dtype
     level_weight = np.empty((ny if have_moved else 0, nx), dtype)
     level_shed = np.full((ny, nx), shed_fraction[0, 0, 0])
+    spare = np.empty((ny if have_moved else 0, nx), level_shed.dtype)
     carried = np.zeros((ny, nx))
     straight = np.zeros((ny, nx))  # handed straight down because no receiver is granular
     down = np.zeros((ny + 2, nx + 2))  # transmitted load per unit of spreading weight, that
     sides = np.zeros((ny + 2, nx + 2))  # times the edge weight,
     corners = np.zeros((ny + 2, nx + 2))  # and times the corner weight
     receptivity = np.zeros((ny + 2, nx + 2))
-    known = nz  # the level that it is of
-    rows = _Rows(
-        np.zeros((2, nx)),
-        np.zeros(nx),
-        np.zeros(nx),
-        np.zeros(nx, dtype),
-        np.zeros(nx, dtype),
-        np.zeros(nx, ranked.weights.dtype),
-    )
+    _receptivity(code, nz - 1, relaxation, coupling.relaxation, receptivity)
+    rows = solid_rows(nx, ranked)
     total_weight = 0.0
     shed = 0.0
     base_load[:, :] = 0.0
-    solid, solid_below, falling = False, _is_solid(code, nz - 1), False
+    solid, through, falling = is_solid(code, nz - 1), False, False
     for k in range(nz - 1, -1, -1):
-        scale = top_fraction if k == nz - 1 else 1.0
+        shed_above = level_shed
         if have_moved:
+            level_shed, spare = spare, level_shed
             _place_level(code, moved, k, weight, shed_fraction, level_weight, level_shed)
         else:
             level_weight = weight[k]
             if shed_fraction.size > 1:
                 level_shed = shed_fraction[k]
-        solid, solid_below = solid_below, k > 0 and _is_solid(code, k - 1)
-        if plain and solid and solid_below and not falling:
-            _through_solid(
-                k,
-                scale,
-                level_weight,
-                level_shed,
-                edge,
-                corner,
-                ranked,
-                load,
-                down,
-                sides,
-                corners,
-                rows,
+        if through:
+            put_in, lost = through_solid(
+                k, level_weight, shed_above, edge, corner, ranked, carried, rows
             )
-            continue
-        if known != k:
-            _receptivity(code, k, relaxation, coupling.relaxation, receptivity)
-        for y in range(ny):
-            for x in range(nx):
-                own = scale * np.float64(level_weight[y, x])
-                total_weight += own
-                if leaning:
-                    from_edges = (
-                        upper * sides[y, x + 1]
-                        + right * sides[y + 1, x]
-                        + left * sides[y + 1, x + 2]
-                        + lower * sides[y + 2, x + 1]
+            total_weight += put_in
+            shed += lost
+        else:
+            scale = top_fraction if k == nz - 1 else 1.0
+            for y in range(ny):
+                for x in range(nx):
+                    own = scale * np.float64(level_weight[y, x])
+                    total_weight += own
+                    level = down[y + 1, x + 1] + (
+                        right * sides[y + 1, x] + left * sides[y + 1, x + 2]
                     )
-                    from_corners = (
-                        upper * right * corners[y, x]
-                        + upper * left * corners[y, x + 2]
-                        + lower * right * corners[y + 2, x]
-                        + lower * left * corners[y + 2, x + 2]
+                    before = sides[y, x + 1] + (right * corners[y, x] + left * corners[y, x + 2])
+                    after = sides[y + 2, x + 1] + (
+                        right * corners[y + 2, x] + left * corners[y + 2, x + 2]
                     )
-                else:
-                    from_edges = (
-                        sides[y, x + 1]
-                        + sides[y + 1, x]
-                        + sides[y + 1, x + 2]
-                        + sides[y + 2, x + 1]
-                    )
-                    from_corners = (
-                        corners[y, x]
-                        + corners[y, x + 2]
-                        + corners[y + 2, x]
-                        + corners[y + 2, x + 2]
-                    )
-                received = down[y + 1, x + 1] + from_edges + from_corners
-                carried[y, x] = own + receptivity[y + 1, x + 1] * received + straight[y, x]
-        if shares_excess:
-            shed -= _share_excess(code[k], coupling.zone_root[k], excess, carried)
-        if coupling.cohesion > 0.0:
-            carried += _hand_aside(code[k], carried, coupling.cohesion)
+                    received = level + (upper * before + lower * after)
+                    carried[y, x] = own + receptivity[y + 1, x + 1] * received + straight[y, x]
+            if shares_excess:
+                shed -= _share_excess(code[k], coupling.zone_root[k], excess, carried)
+            if coupling.cohesion > 0.0:
+                carried += _hand_aside(code[k], carried, coupling.cohesion)
         if keep:
             for y in range(ny):
                 for x in range(nx):
-                    granular = receptivity[y + 1, x + 1] > 0.0
+                    granular = through or receptivity[y + 1, x + 1] > 0.0
                     load[k, y, x] = carried[y, x] if granular else 0.0
         if k == 0:
             break
+        solid_above, solid = solid, is_solid(code, k - 1)
+        through = plain and solid_above and solid and not falling
+        if through:
+            continue
         _receptivity(code, k - 1, relaxation, coupling.relaxation, receptivity)
-        known = k - 1
         falling = False
         for y in range(ny):
             for x in range(nx):
@@ -312,32 +281,18 @@ def _sweep(
                         excess[coupling.zone_root[k, y, x]] += (
                             coupling.transfer * max(beyond, 0.0) * carried[y, x]
                         )
-                    if leaning:
-                        beside = (
-                            lower * receptivity[y, x + 1]
-                            + left * receptivity[y + 1, x]
-                            + right * receptivity[y + 1, x + 2]
-                            + upper * receptivity[y + 2, x + 1]
-                        )
-                        diagonal = (
-                            lower * left * receptivity[y, x]
-                            + lower * right * receptivity[y, x + 2]
-                            + upper * left * receptivity[y + 2, x]
-                            + upper * right * receptivity[y + 2, x + 2]
-                        )
-                    else:
-                        beside = (
-                            receptivity[y, x + 1]
-                            + receptivity[y + 1, x]
-                            + receptivity[y + 1, x + 2]
-                            + receptivity[y + 2, x + 1]
-                        )
-                        diagonal = (
-                            receptivity[y, x]
-                            + receptivity[y, x + 2]
-                            + receptivity[y + 2, x]
-                            + receptivity[y + 2, x + 2]
-                        )
+                    beside = (
+                        lower * receptivity[y, x + 1]
+                        + left * receptivity[y + 1, x]
+                        + right * receptivity[y + 1, x + 2]
+                        + upper * receptivity[y + 2, x + 1]
+                    )
+                    diagonal = (
+                        lower * left * receptivity[y, x]
+                        + lower * right * receptivity[y, x + 2]
+                        + upper * left * receptivity[y + 2, x]
+                        + upper * right * receptivity[y + 2, x + 2]
+                    )
                     w_down = np.float64(coupling.straight[k, y, x]) if straight_share else 1.0
                     if by_rank:
                         rank = ranked.rank[k, y, x]
@@ -366,113 +321,7 @@ def _sweep(
                     straight[y, x] = 0.0
                 falling |= straight[y, x] != 0.0
     base_load += carried
-    return total_weight + rows.put_in.sum(), shed + rows.lost.sum()
-
-
-class _Rows(NamedTuple):
-    """Rows of cells in solid ground, float64 but for the weights."""
-
-    carried: np.ndarray  # two rows
-    put_in: np.ndarray  # of all levels, as is
-    lost: np.ndarray
-    edge: np.ndarray
-    corner: np.ndarray
-    pairs: np.ndarray  # both weights as one number of twice the size
-
-
-@njit(nogil=True, cache=True)
-def _is_solid(code, k):
-    """Whether level k is stagnant ground from side to side."""
-    _, ny, nx = code.shape
-    for y in range(ny):
-        other = np.int8(0)
-        for x in range(nx):
-            other |= code[k, y, x] ^ STAGNANT
-        if other != 0:
-            return False
-    return True
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _through_solid(
-    k,
-    scale,
-    weight,
-    shed_fraction,
-    edge,
-    corner,
-    ranked,
-    load,
-    down,
-    sides,
-    corners,
-    rows,
-):
-    """Carry the loads through a level of stagnant ground onto another.
-
-    What the general sweep does, in short loops over rows that the compiler turns into vector
-    instructions: each writes one or two arrays. A row gives as soon as the next one has taken, so
-    that the level above can be overwritten. The result is the same bit for bit, but for the order
-    in which what is lost is summed up.
-    """
-    ny, nx = weight.shape
-    keep = load.shape[0] > 0
-    carried, put_in, lost = rows.carried, rows.put_in, rows.lost
-    of_edge, of_corner = rows.edge, rows.corner
-    pairs = rows.pairs
-    flat = pairs.view(weight.dtype)
-    for step in range(ny + 1):
-        if step < ny:
-            y = step
-            to = y % 2
-            for x in range(nx):
-                put_in[x] += scale * np.float64(weight[y, x])
-                from_edges = (
-                    sides[y, x + 1] + sides[y + 1, x] + sides[y + 1, x + 2] + sides[y + 2, x + 1]
-                )
-                carried[to, x] = down[y + 1, x + 1] + from_edges
-            for x in range(nx):
-                from_corners = (
-                    corners[y, x] + corners[y, x + 2] + corners[y + 2, x] + corners[y + 2, x + 2]
-                )
-                own = scale * np.float64(weight[y, x])
-                carried[to, x] = own + (carried[to, x] + from_corners)
-        if step == 0:
-            continue
-        y = step - 1
-        of = y % 2
-        if keep:
-            for x in range(nx):
-                load[k, y, x] = carried[of, x]
-        if ranked.rank.shape[0] > 0:
-            for x in range(nx):
-                pairs[x] = ranked.weights[ranked.rank[k, y, x]]
-            for x in range(nx):
-                of_edge[x] = flat[2 * x]
-                of_corner[x] = flat[2 * x + 1]
-        else:
-            for x in range(nx):
-                of_edge[x] = edge[k, y, x]
-            for x in range(nx):
-                of_corner[x] = corner[k, y, x]
-        for x in range(nx):
-            part = carried[of, x] * np.float64(shed_fraction[y, x])
-            lost[x] += part
-            carried[of, x] -= part
-        beside_y = (y > 0) + (y < ny - 1)
-        beside, diagonal = np.float64(beside_y + 2), np.float64(2 * beside_y)
-        for x in range(nx):
-            total = 1.0 + np.float64(of_edge[x]) * beside + np.float64(of_corner[x]) * diagonal
-            down[y + 1, x + 1] = carried[of, x] / total
-        for x in (0, nx - 1):  # with fewer receivers
-            beside_x = (x > 0) + (x < nx - 1)
-            beside, diagonal = np.float64(beside_y + beside_x), np.float64(beside_y * beside_x)
-            total = 1.0 + np.float64(of_edge[x]) * beside + np.float64(of_corner[x]) * diagonal
-            down[y + 1, x + 1] = carried[of, x] / total
-        for x in range(nx):
-            sides[y + 1, x + 1] = down[y + 1, x + 1] * np.float64(of_edge[x])
-        for x in range(nx):
-            corners[y + 1, x + 1] = down[y + 1, x + 1] * np.float64(of_corner[x])
+    return total_weight, shed
 
 
 @njit(nogil=True, cache=True)

@@ -47,18 +47,22 @@ def stress_sweep_reference(
         inside = 0 <= y < ny and 0 <= x < nx
         return inside and code[k, y, x] in (STAGNANT, MOVEMENT)
 
+    def given(y, x, dy, dx):
+        """What (y, x) of the level above gives to the place at this offset."""
+        inside = 0 <= y < ny and 0 <= x < nx
+        return shares[y, x, 1 + dy, 1 + dx] if inside else 0.0
+
     for k in reversed(range(nz)):
         for y in range(ny):
             for x in range(nx):
                 if not is_granular(k, y, x):
                     continue
-                received = 0.0
-                for ring in (BELOW, EDGES, CORNERS):
-                    of_ring = 0.0
-                    for dy, dx in ring:  # the giver above stands at (y + dy, x + dx)
-                        if 0 <= y + dy < ny and 0 <= x + dx < nx:
-                            of_ring += shares[y + dy, x + dx, 1 - dy, 1 - dx]
-                    received += of_ring
+                level, before, after = (
+                    given(y + dy, x, -dy, 0)
+                    + (given(y + dy, x - 1, -dy, 1) + given(y + dy, x + 1, -dy, -1))
+                    for dy in (0, -1, 1)  # rows of three givers above
+                )
+                received = level + (before + after)
                 own = float(weight[k, y, x]) * (top_fraction if k == nz - 1 else 1.0)
                 load[k, y, x] = own + received + handed_down[y, x]
         shed -= _arch(code[k], coupling, k, excess, load[k])
@@ -71,17 +75,17 @@ def stress_sweep_reference(
         excess = {}
         for y in range(ny):
             for x in range(nx):
-                given = passing[y, x]
+                passed = passing[y, x]
                 if is_granular(k, y, x):
-                    fraction = _bent(shed_fraction[k, y, x], given, coupling)
-                    lost = given * fraction
+                    fraction = _bent(shed_fraction[k, y, x], passed, coupling)
+                    lost = passed * fraction
                     shed += lost
                     if coupling.transfer > 0.0 and code[k, y, x] == MOVEMENT:
                         own = coupling.own_shed[k, y, x]
-                        beyond = max(fraction - _bent(own, given, coupling, cap=math.inf), 0.0)
+                        beyond = max(fraction - _bent(own, passed, coupling, cap=math.inf), 0.0)
                         root = coupling.zone_root[k, y, x]
-                        excess[root] = excess.get(root, 0.0) + coupling.transfer * beyond * given
-                    given -= lost
+                        excess[root] = excess.get(root, 0.0) + coupling.transfer * beyond * passed
+                    passed -= lost
                     below = [
                         [(dy, dx) for dy, dx in ring if is_granular(k - 1, y + dy, x + dx)]
                         for ring in (BELOW, EDGES, CORNERS)
@@ -97,12 +101,12 @@ def stress_sweep_reference(
                     if total > 0.0:
                         for ring, w, of_ring in zip(below, ring_weights, factors, strict=True):
                             for (dy, dx), factor in zip(ring, of_ring, strict=True):
-                                shares[y, x, 1 + dy, 1 + dx] = given / total * w * factor
+                                shares[y, x, 1 + dy, 1 + dx] = passed / total * w * factor
                         continue
                 if code[k - 1, y, x] == OUTSIDE:
-                    base_load[y, x] += given
+                    base_load[y, x] += passed
                 else:
-                    handed_down[y, x] = given
+                    handed_down[y, x] = passed
 
 
 def _bent(fraction, load, coupling, cap=1.0):

@@ -146,6 +146,14 @@ def test_mirrored_ground_carries_mirrored_loads(state, axis):
     )
 
 
+@given(ANY, st.sampled_from([1, 2]))
+def test_mirrored_ground_carries_mirrored_loads_bit_for_bit_without_relaxation(state, axis):
+    swept = sweep(state)
+    mirrored = sweep(state.with_arrays(lambda a: np.flip(a, axis)))
+    np.testing.assert_array_equal(np.flip(mirrored.load, axis), swept.load)
+    np.testing.assert_array_equal(np.flip(mirrored.base_load, axis - 1), swept.base_load)
+
+
 @given(lattice_states(relaxations=RELAXATIONS))
 def test_x_and_y_are_alike(state):
     swept, turned = sweep(state), sweep(state.with_arrays(lambda a: a.transpose(0, 2, 1)))
