@@ -362,10 +362,16 @@ def unknown_table(content: Content, data: Data) -> Table | None:
                 one["kind"],
                 *(table.number(one["label"], c, value, None, one["unit"]) for c, value in cells),
                 "–" if one["unit"] == "1" else one["unit"],
-                Badge("at the end of its range: not a fit", "bad") if one["at_bound"] else "",
+                _unknown_badge(one),
             ]
         )
     return table.without_empty_columns()
+
+
+def _unknown_badge(one: Mapping[str, Any]) -> Badge | str:
+    if one["at_bound"]:
+        return Badge("at the end of its range: not a fit", "bad")
+    return "" if one["identified"] else Badge("next to nothing is known of it", "bad")
 
 
 def reading_table(content: Content, data: Data) -> Table | None:
@@ -413,9 +419,9 @@ def method(content: Content, data: Data) -> Markup:
         "what was drawn; what they differ in, to the packing (law of total variance: parameters "
         "before effects, effects given the parameters; Mara & Tarantola 2012, Reliab. Eng. Syst. "
         "Saf. 107, 115–121). Standard errors of shares: jackknife over pairs (Efron & Stein 1981, "
-        "Ann. Stat. 9, 586–596). Unknowns are normal in the coordinates that they were fitted in "
-        "(E as log(1 − E)), cut off at their bounds. What no fit knows of is in no band: an "
-        "effect that is missing, an input declared wrong.",
+        "Ann. Stat. 9, 586–596). Unknowns are normal (the sd of s and the flow parameters in their "
+        "logarithms), cut off at their bounds. What no fit knows of is in no band: an effect that "
+        "is missing, an input declared wrong.",
         data.number("method", "", "samples", content.document["samples"]),
         data.number("method", "", "replicates", content.document["simulated_replicates"]),
     )
