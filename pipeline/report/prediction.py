@@ -179,8 +179,9 @@ def band_figure(content: Content, data: Data) -> Figure:
     left_out = len(content.places) - len(content.shown_places)
     caption = parts(
         "Bands hold 90 % of n = {} samples (5th to 95th percentile); each draws what the one "
-        "before it draws, and one thing more. Lines are medians.{}{}",
+        "before it draws, and one thing more. {} are medians.{}{}",
         data.number("bands", "", "samples", content.document["samples"]),
+        "Lines" if len(content.clock) > 1 else "Squares",
         parts(
             " Points are the {} data, with one sd; one that is a mean over several packings "
             "scatters less than the band.",
@@ -296,7 +297,7 @@ def _unit(content: Content) -> str:
 
 def share_table(content: Content, data: Data) -> Table:
     """Percentiles, sd and shares of every load cell at its readings."""
-    columns = ["Place", content.clock_name]
+    columns = ["Place", content.clock_name[0].upper() + content.clock_name[1:]]
     columns += [f"Stress (kPa): {name}" for name in ("P5", "P10", "P50", "P90", "P95", "sd")]
     sources = [s for s in content.sources if s != "effect" or content.has_effects]
     columns += [f"{s.capitalize()} (%): {name}" for s in sources for name in ("share", "se")]
