@@ -21,6 +21,11 @@ def experiments_of_study(path: Path) -> Path:
     return beside if beside.is_dir() else REPOSITORY / OWN / "experiments"
 
 
+def studies_of_experiment(path: Path) -> Path:
+    """Folder of the studies that an experiment's prediction may name: the one beside its own."""
+    return path.absolute().parent.with_name("studies")
+
+
 def experiments_of_table(path: Path) -> Path:
     """Folder of the experiments that a measured table names.
 

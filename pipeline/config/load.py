@@ -191,6 +191,24 @@ def load_with_sources(path: Path) -> Experiment:
     return chain[path.stem]
 
 
+def check_prediction(experiment: Experiment, studies: Path) -> None:
+    """ConfigError where the study that an experiment's `prediction` names does not serve it.
+
+    `studies` is the study's folder; the experiments that it names lie beside this one.
+    """
+    if experiment.prediction is None or experiment.prediction.study is None:
+        return
+    files = {file.stem: file for file in _yaml_files(studies)} if studies.is_dir() else {}
+    name = experiment.prediction.study
+    known = {name: load_study(files[name])} if name in files else dict.fromkeys(files)
+    beside = {file.stem: file for file in _yaml_files(experiment.path.parent)}
+    named = known[name].experiments if name in files else ()
+    experiments = {one: load_experiment(beside[one]) for one in named if one in beside}
+    none = f"there are none in {shown_path(studies)}, name their folder with --studies DIR"
+    if found := list(prediction_problems(experiment, known, experiments, none)):
+        raise ConfigError(found)
+
+
 def load_experiments(folder: Path) -> dict[str, Experiment]:
     """All experiments (*.yaml, *.yml) of a folder by name, sorted.
 
@@ -424,16 +442,21 @@ def _broken_references(
 
 
 def prediction_problems(
-    experiment: Experiment, studies: Mapping[str, Study], experiments: Mapping[str, Experiment]
+    experiment: Experiment,
+    studies: Mapping[str, Study],
+    experiments: Mapping[str, Experiment],
+    none: str = "this run has none, name their folder with --config studies_dir=DIR",
 ) -> Iterator[tuple[Path, str]]:
-    """What is wrong with the study that an experiment's `prediction` names."""
+    """What is wrong with the study that an experiment's `prediction` names.
+
+    `none` is the remedy where there are no studies.
+    """
     name = experiment.prediction.study
     if name is None:
         return
     where = f"prediction.study = {name}: "
     if name not in studies:
-        hint = did_you_mean(name, studies, "known studies:")
-        hint = hint or "; this run has none, name their folder with --config studies_dir=DIR"
+        hint = did_you_mean(name, studies, "known studies:") or f"; {none}"
         yield experiment.path, f"{where}no such study{hint}"
         return
     study = studies[name]
