@@ -130,6 +130,18 @@ class Panel:
         if upright:
             self.axes.invert_yaxis()
 
+    @classmethod
+    def of_rows(cls, data: Data, figure: str, title: str, x: str, alt: str, names) -> Panel:
+        """A panel with a row for each name, the first on top, for `dots` and `bars`."""
+        names = list(names)
+        size = (2.5, 0.3 + 0.27 * len(names))
+        left = max(cls.LEFT, 0.3 + 0.07 * max(map(len, names)))
+        panel = cls(data, figure, title, x, "", alt, size, left=left)
+        panel._rows = names
+        panel.axes.set_yticks(range(len(names)), names)
+        panel.axes.set_ylim(len(names) - 0.5, -0.5)
+        return panel
+
     def _box(self, left: float, width: float) -> tuple[float, float, float, float]:
         w, h = self._width, self._height
         return left / w, self.BOTTOM / h, width / w, self._size[1] / h
@@ -188,12 +200,6 @@ class Panel:
         self.legend[label] = _swatch(
             f'<rect x="3" y="2" width="20" height="8" fill="var(--{_VARIABLES[color]})"/>'
         )
-
-    def rows(self, names) -> None:
-        """Name the rows of `dots` and `bars`, the first on top."""
-        self._rows = list(names)
-        self.axes.set_yticks(range(len(names)), names)
-        self.axes.set_ylim(len(names) - 0.5, -0.5)
 
     def shaded_points(
         self, label, x, y, shade, name, low, high, marker="o", error=None, colors=STRESS_COLORS

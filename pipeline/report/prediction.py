@@ -266,12 +266,8 @@ def share_figure(content: Content, data: Data) -> Figure:
             )
             for place, share in shares.items()
         )
-        size = (3.0, max(0.9, 0.32 * len(shares)))
         alt = f"Shares of the variance, {title}: {words}."
-        left = 0.3 + 0.085 * max(map(len, shares))
-        name = "share of the variance (%)"
-        panel = Panel(data, "shares", title, name, "", alt, size, left=max(left, Panel.LEFT))
-        panel.rows(shares)
+        panel = Panel.of_rows(data, "shares", title, "share of the variance (%)", alt, shares)
         start = np.zeros(len(shares))
         for i, source in enumerate(content.sources):
             length = np.array([share[i] for share in shares.values()])
