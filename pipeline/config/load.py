@@ -5,6 +5,8 @@ import json
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -15,7 +17,14 @@ from pipeline.config.comparison import Comparison, comparison_problems
 from pipeline.config.experiment import DRAW_PARAMETERS, Experiment
 from pipeline.config.imports import ImportSettings
 from pipeline.config.measured import MeasuredError, MeasuredRow, read_measured, rows_by_name
-from pipeline.config.messages import NAME_PATTERN, ConfigError, did_you_mean, problems, shown_path
+from pipeline.config.messages import (
+    NAME_PATTERN,
+    ConfigError,
+    did_you_mean,
+    dotted,
+    problems,
+    shown_path,
+)
 from pipeline.config.study import HeldOutLoadCells, HeldOutTail, Study
 
 
@@ -143,12 +152,11 @@ def load_experiment(path: Path) -> Experiment:
     """
     experiment = _load(Experiment, path)
     found = []
-    if experiment.mask_path is not None and not experiment.mask_path.is_file():
-        where = f"geometry.mask.path = {experiment.geometry.mask.path}"
-        found.append((experiment.path, _no_such_file(where, experiment.mask_path)))
-    for key, file in experiment.region_paths.items():
+    for location, file in experiment.files.items():
         if not file.is_file():
-            found.append((experiment.path, _no_such_file(key, file)))
+            given = reduce(getitem, location, resolved(experiment))
+            where = f"{dotted(location)} = {given}"
+            found.append((experiment.path, _no_such_file(where, file)))
     try:
         check_measured(experiment)
     except ConfigError as error:
