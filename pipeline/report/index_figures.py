@@ -97,7 +97,8 @@ def published_figure(entries: Sequence[Entry], data: Data) -> Figure | None:
         "published",
         "",
         "ours / published (–)",
-        f"Ratio of our simulated mean to the published one; {worst[1]} is off by {worst[0]:.0%}.",
+        f"Ratio of our simulated mean to the published one; {worst[1]} is off "
+        f"by {100 * worst[0]:.0f} %.",
         names,
     )
     panel.span("counts as reproduced", 1 - REPRODUCED, 1 + REPRODUCED, GREEN)
