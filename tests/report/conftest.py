@@ -95,7 +95,9 @@ def pillars(drawn, make_page) -> Made:
         for row in range(3)
         for i in range(6)
     ]
-    return make_page(drawn("pillars", load_cells=cells, assumed=["load_cells"], replicates=3))
+    return make_page(
+        drawn("pillars_of_lower_level", load_cells=cells, assumed=["load_cells"], replicates=3)
+    )
 
 
 @pytest.fixture(scope="session")
@@ -134,6 +136,7 @@ def catalogue(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def index(tmp_path_factory, static, draw, study, comparison, blind) -> Path:
-    """The index of an experiment, a draw, a study, a comparison and a blind benchmark."""
-    return make_index(tmp_path_factory.mktemp("index"), [static, draw], study, comparison, blind)
+def index(tmp_path_factory, static, draw, pillars, study, comparison, blind) -> Path:
+    """The index of an experiment, two draws, a study, a comparison and a blind benchmark."""
+    made = [static, draw, pillars]
+    return make_index(tmp_path_factory.mktemp("index"), made, study, comparison, blind)
