@@ -56,9 +56,11 @@ def run_command(path: Path, experiments: Path | None = None) -> str:
     return _snakemake(f"{results}/{kind}/{path.stem}/report.html", "--config", *config)
 
 
-def check_command(path: Path) -> str:
-    """The command that checks a file."""
-    return shlex.join(["python", "-m", "pipeline", "check", _as_typed(path)])
+def next_steps(path: Path, experiments: Path | None = None) -> str:
+    """What to type after an experiment was written, or a study of ``experiments``."""
+    there = [] if Path.cwd() == REPOSITORY else [f"cd {REPOSITORY}"]
+    check = shlex.join(["python", "-m", "pipeline", "check", _as_typed(path)])
+    return "\n  ".join(["next:", *there, check, run_command(path, experiments)])
 
 
 def _snakemake(*words: str) -> str:
