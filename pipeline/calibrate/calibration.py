@@ -38,6 +38,7 @@ REPLICATES = {"static": 20, "draw": 5}  # common random numbers of one evaluatio
 SCAN = 24  # points of the scan that finds the start, for each parameter of a group,
 SCAN_REPLICATES = 2  # on the first few of the common random numbers
 Z90 = NormalDist().inv_cdf(0.95)
+UNTOLD = 1e-10  # of the largest slope: directions in which rows tell nothing of parameters
 NOT_SEPARATED = 0.9  # correlation from which two parameters count as not separated
 CLOSE = 1e-3  # relative misfit below which a single target counts as reached
 
@@ -58,6 +59,11 @@ class Scale:
     def bounds(self) -> tuple[float, float]:
         """Ends of the coordinate, increasing."""
         return tuple(sorted((self.forward(self.low), self.forward(self.high))))
+
+
+def at_end(u: float, low: float, high: float) -> bool:
+    """Whether a coordinate lies at the end of its range, where a fit is none."""
+    return bool(min(u - low, high - u) < 1e-3 * (high - low))
 
 
 def _log_shed(E: float) -> float:
@@ -225,16 +231,17 @@ def _differences(function, u, steps, low, high):
     return np.column_stack(columns)
 
 
-def _uncertainty(model, parameters, scatter, fitted) -> tuple[list[str], np.ndarray]:
-    """Names and covariance of the fitted coordinates.
+def _uncertainty(model, parameters, scatter, fitted) -> tuple[list[str], np.ndarray, list[str]]:
+    """Names and covariance of the fitted coordinates, and names of those with a prior's part.
 
     Each group solves its own normal equations; the sandwich carries the errors of its rows and,
     through the other groups' parameters, of theirs. Row errors: `row_covariance` plus the error
-    of a mean over the common random numbers.
+    of a mean over the common random numbers. A parameter or a combination that no row tells of
+    gets a prior as wide as its range, where the least squares alone would take it as sure.
     """
     names = [name for members, _ in fitted for name in members]
     if not names:
-        return [], np.zeros((0, 0))
+        return [], np.zeros((0, 0)), []
     scales = [SCALES[name] for name in names]
 
     def at(u):
@@ -246,14 +253,29 @@ def _uncertainty(model, parameters, scatter, fitted) -> tuple[list[str], np.ndar
     jacobian = _differences(at, u, [max(3 * scale.step, 1e-2) for scale in scales], low, high)
     errors = row_covariance(model.rows, scatter) + scatter / model.count
     bread, filling = np.zeros((len(names), len(names))), np.zeros((len(names), len(model.rows)))
+    prior = np.zeros_like(bread)
     for members, targets in fitted:
         own = [names.index(name) for name in members]
         weight = np.array([model.rows[i].std for i in targets]) ** -2.0
         weighted = jacobian[np.ix_(targets, own)].T * weight
         bread[own] = weighted @ jacobian[targets]
         filling[np.ix_(own, targets)] = weighted
-    inverse = np.linalg.pinv(bread)
-    return names, inverse @ filling @ errors @ filling.T @ inverse.T
+        white = np.sqrt(weight)[:, None] * jacobian[np.ix_(targets, own)]
+        prior[np.ix_(own, own)] = _prior_of_untold(white, (high - low)[own])
+    inverse = np.linalg.inv(bread + prior)
+    covariance = inverse @ (filling @ errors @ filling.T + prior) @ inverse.T
+    return names, covariance, [names[i] for i in np.flatnonzero(prior.diagonal())]
+
+
+def _prior_of_untold(white: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Precision (parameter, parameter) of a prior where whitened slopes (row, parameter) are 0.
+
+    `sd` (parameter) is the prior's; along what the rows tell of there is none.
+    """
+    _, told, directions = np.linalg.svd(white * sd)
+    untold = directions[np.sum(told > UNTOLD * told.max()) :]
+    untold[np.abs(untold) < UNTOLD] = 0.0
+    return (untold / sd).T @ (untold / sd)
 
 
 def _document(experiment, model, declared, parameters, fitted, idle):
@@ -262,7 +284,7 @@ def _document(experiment, model, declared, parameters, fitted, idle):
         replicates = model.replicates(parameters)
         simulated = replicates.mean(axis=0)
         scatter = np.atleast_2d(np.cov(replicates, rowvar=False))
-    names, covariance = _uncertainty(model, parameters, scatter, fitted)
+    names, covariance, untold = _uncertainty(model, parameters, scatter, fitted)
     messages: list[str] = []
     entries = {}
     for name, scale in SCALES.items():
@@ -284,8 +306,13 @@ def _document(experiment, model, declared, parameters, fitted, idle):
             ends = [scale.backward(x) for x in np.clip([u - half, u + half], low, high)]
             entry["interval_90"] = sorted(ends)
             entry["interval_open"] = bool(u - half < low or u + half > high)
-            entry["at_bound"] = bool(min(u - low, high - u) < 1e-3 * (high - low))
-            if entry["interval_open"] and not entry["at_bound"]:
+            entry["at_bound"] = at_end(u, low, high)
+            if name in untold:
+                messages.append(
+                    f"{name}: no measured value tells of it, or tells it from the others; a prior "
+                    "as wide as its range stands in"
+                )
+            elif entry["interval_open"] and not entry["at_bound"]:
                 messages.append(f"{name}: its 90 % interval is open, the data do not bound it")
             if entry["at_bound"]:
                 messages.append(f"{name} = {value:.4g} lies at the end of its range: not a fit")

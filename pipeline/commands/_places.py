@@ -21,6 +21,11 @@ def experiments_of_study(path: Path) -> Path:
     return beside if beside.is_dir() else REPOSITORY / OWN / "experiments"
 
 
+def studies_of_experiment(path: Path) -> Path:
+    """Folder of the studies that an experiment's prediction may name: the one beside its own."""
+    return path.absolute().parent.with_name("studies")
+
+
 def experiments_of_table(path: Path) -> Path:
     """Folder of the experiments that a measured table names.
 
@@ -51,9 +56,11 @@ def run_command(path: Path, experiments: Path | None = None) -> str:
     return _snakemake(f"{results}/{kind}/{path.stem}/report.html", "--config", *config)
 
 
-def check_command(path: Path) -> str:
-    """The command that checks a file."""
-    return shlex.join(["python", "-m", "pipeline", "check", _as_typed(path)])
+def next_steps(path: Path, experiments: Path | None = None) -> str:
+    """What to type after an experiment was written, or a study of ``experiments``."""
+    there = [] if Path.cwd() == REPOSITORY else [f"cd {REPOSITORY}"]
+    check = shlex.join(["python", "-m", "pipeline", "check", _as_typed(path)])
+    return "\n  ".join(["next:", *there, check, run_command(path, experiments)])
 
 
 def _snakemake(*words: str) -> str:

@@ -14,12 +14,17 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
-from pipeline.commands._places import experiments_of_study, experiments_of_table
+from pipeline.commands._places import (
+    experiments_of_study,
+    experiments_of_table,
+    studies_of_experiment,
+)
 from pipeline.config.comparison import Comparison
 from pipeline.config.experiment import Experiment
 from pipeline.config.imports import ImportSettings
 from pipeline.config.load import (
     check_measured,
+    check_prediction,
     check_table,
     is_held_out,
     kind_of,
@@ -57,6 +62,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "study or a comparison the folder experiments beside its own, or else the repository's; "
         "for a table the folder above measured, or else its own)",
     )
+    parser.add_argument(
+        "--studies",
+        type=Path,
+        metavar="DIR",
+        help="folder of the studies that predictions name (default: the folder studies beside the "
+        "experiment's own)",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -73,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
         for files in (todo, tables):
             for file, folder in files.items():
                 try:
-                    said, table = _checked(file, folder, experiments_in)
+                    said, table = _checked(file, folder, experiments_in, arguments.studies)
                 except ConfigError as error:
                     found += error.problems
                     continue
@@ -103,7 +115,10 @@ def _is(file: Path, suffixes: tuple[str, ...]) -> bool:
 
 
 def _checked(
-    path: Path, experiments: Path | None, experiments_in: Callable[[Path], dict[str, Experiment]]
+    path: Path,
+    experiments: Path | None,
+    experiments_in: Callable[[Path], dict[str, Experiment]],
+    studies: Path | None,
 ) -> tuple[str, Path | None]:
     """What a sound file holds, in a line, and the measured table that an experiment names."""
     if not path.is_file():
@@ -127,6 +142,7 @@ def _checked(
         known = experiments_in(experiments or experiments_of_study(path))
         return (_study if kind is Study else _comparison)(loaded, known), None
     experiment = load_with_sources(path)
+    check_prediction(experiment, studies or studies_of_experiment(path))
     return _experiment(experiment), experiment.measured_path
 
 

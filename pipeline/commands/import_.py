@@ -7,6 +7,8 @@ import argparse
 from datetime import datetime
 from pathlib import Path
 
+from pipeline.commands._places import next_steps
+
 OWN = Path("workflow_configs/experiments")
 
 
@@ -112,6 +114,7 @@ def _write(arguments, settings, table, title, drawpoints=None, schedule=None) ->
         arguments.name, content, datasets, notes, arguments.into, arguments.overwrite
     )
     print(*(f"- {note}" for note in notes), *written, sep="\n")
+    print(next_steps(arguments.into / f"{arguments.name}.yaml"))
     return 0
 
 

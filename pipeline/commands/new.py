@@ -20,9 +20,8 @@ from pydantic import BaseModel
 from pipeline.commands._places import (
     OWN,
     REPOSITORY,
-    check_command,
     experiments_of_study,
-    run_command,
+    next_steps,
 )
 from pipeline.config.commented import commented
 from pipeline.config.experiment import Experiment
@@ -106,10 +105,7 @@ def run(arguments: argparse.Namespace) -> int:
     _write_all(_schema_beside(folder, kind) | files)
     for written in files:
         print(f"wrote {shown_path(written)}")
-    print("next:")
-    if Path.cwd() != REPOSITORY:
-        print(f"  cd {REPOSITORY}")
-    print(f"  {check_command(path)}\n  {run_command(path, experiments)}")
+    print(next_steps(path, experiments))
     return 0
 
 

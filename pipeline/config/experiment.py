@@ -34,6 +34,7 @@ from pipeline.config.geometry import DrawbellMask, FileMask, Geometry
 from pipeline.config.messages import (
     NAME_PATTERN,
     Found,
+    Location,
     did_you_mean,
     quantity,
     whole,
@@ -501,18 +502,14 @@ class Experiment(FromFile):
         return None if self.measured is None else self._path.parent / self.measured
 
     @property
-    def mask_path(self) -> Path | None:
-        """The mask's file, found from the experiment's file; None without one."""
+    def files(self) -> dict[Location, Path]:
+        """Files of the mask and of the regions, found from the experiment's, by their keys."""
         mask = self.geometry.mask
-        return self._path.parent / mask.path if isinstance(mask, FileMask) else None
-
-    @property
-    def region_paths(self) -> dict[str, Path]:
-        """Files of the regions, found from the experiment's file, by their dotted keys."""
-        places = enumerate((region.mask, region.column) for region in self.regions)
+        named = {("geometry", "mask"): mask if isinstance(mask, FileMask) else None}
+        for place, region in enumerate(self.regions):
+            named |= {("regions", place, key): getattr(region, key) for key in ("mask", "column")}
         return {
-            f"regions[{place}].{key}.path": self._path.parent / one.path
-            for place, files in places
-            for key, one in zip(("mask", "column"), files, strict=True)
+            (*location, "path"): self._path.parent / one.path
+            for location, one in named.items()
             if one is not None
         }

@@ -5,6 +5,8 @@ import json
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -15,7 +17,14 @@ from pipeline.config.comparison import Comparison, comparison_problems
 from pipeline.config.experiment import DRAW_PARAMETERS, Experiment
 from pipeline.config.imports import ImportSettings
 from pipeline.config.measured import MeasuredError, MeasuredRow, read_measured, rows_by_name
-from pipeline.config.messages import NAME_PATTERN, ConfigError, did_you_mean, problems, shown_path
+from pipeline.config.messages import (
+    NAME_PATTERN,
+    ConfigError,
+    did_you_mean,
+    dotted,
+    problems,
+    shown_path,
+)
 from pipeline.config.study import HeldOutLoadCells, HeldOutTail, Study
 
 
@@ -143,12 +152,11 @@ def load_experiment(path: Path) -> Experiment:
     """
     experiment = _load(Experiment, path)
     found = []
-    if experiment.mask_path is not None and not experiment.mask_path.is_file():
-        where = f"geometry.mask.path = {experiment.geometry.mask.path}"
-        found.append((experiment.path, _no_such_file(where, experiment.mask_path)))
-    for key, file in experiment.region_paths.items():
+    for location, file in experiment.files.items():
         if not file.is_file():
-            found.append((experiment.path, _no_such_file(key, file)))
+            given = reduce(getitem, location, resolved(experiment))
+            where = f"{dotted(location)} = {given}"
+            found.append((experiment.path, _no_such_file(where, file)))
     try:
         check_measured(experiment)
     except ConfigError as error:
@@ -189,6 +197,24 @@ def load_with_sources(path: Path) -> Experiment:
     if found := list(_broken_references(chain, beside)):
         raise ConfigError(found)
     return chain[path.stem]
+
+
+def check_prediction(experiment: Experiment, studies: Path) -> None:
+    """ConfigError where the study that an experiment's `prediction` names does not serve it.
+
+    `studies` is the study's folder; the experiments that it names lie beside this one.
+    """
+    if experiment.prediction is None or experiment.prediction.study is None:
+        return
+    files = {file.stem: file for file in _yaml_files(studies)} if studies.is_dir() else {}
+    name = experiment.prediction.study
+    known = {name: load_study(files[name])} if name in files else dict.fromkeys(files)
+    beside = {file.stem: file for file in _yaml_files(experiment.path.parent)}
+    named = known[name].experiments if name in files else ()
+    experiments = {one: load_experiment(beside[one]) for one in named if one in beside}
+    none = f"there are none in {shown_path(studies)}, name their folder with --studies DIR"
+    if found := list(prediction_problems(experiment, known, experiments, none)):
+        raise ConfigError(found)
 
 
 def load_experiments(folder: Path) -> dict[str, Experiment]:
@@ -424,16 +450,21 @@ def _broken_references(
 
 
 def prediction_problems(
-    experiment: Experiment, studies: Mapping[str, Study], experiments: Mapping[str, Experiment]
+    experiment: Experiment,
+    studies: Mapping[str, Study],
+    experiments: Mapping[str, Experiment],
+    none: str = "this run has none, name their folder with --config studies_dir=DIR",
 ) -> Iterator[tuple[Path, str]]:
-    """What is wrong with the study that an experiment's `prediction` names."""
+    """What is wrong with the study that an experiment's `prediction` names.
+
+    `none` is the remedy where there are no studies.
+    """
     name = experiment.prediction.study
     if name is None:
         return
     where = f"prediction.study = {name}: "
     if name not in studies:
-        hint = did_you_mean(name, studies, "known studies:")
-        hint = hint or "; this run has none, name their folder with --config studies_dir=DIR"
+        hint = did_you_mean(name, studies, "known studies:") or f"; {none}"
         yield experiment.path, f"{where}no such study{hint}"
         return
     study = studies[name]

@@ -115,5 +115,6 @@ def ground_mask(experiment: Experiment, lattice: Lattice) -> np.ndarray:
             near_y = np.abs(y - point.y)[None, :] <= (point.length / 2 + opening)[:, None] + 1e-9
             in_funnel |= near_y[:, :, None] & near_x[:, None, :]
         return ~below[:, None, None] | in_funnel
-    where = "geometry.mask", experiment.mask_path, mask.variable, "variable"
+    file = experiment.files["geometry", "mask", "path"]
+    where = "geometry.mask", file, mask.variable, "variable"
     return np.nan_to_num(read_on_lattice(experiment, lattice, *where).values) != 0

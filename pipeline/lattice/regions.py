@@ -75,11 +75,11 @@ def _cells_of(experiment: Experiment, lattice: Lattice, region: Region, place: i
     if region.box is not None:
         return _in_box(experiment, lattice, region.box)
     if region.mask is not None:
-        file, variable = experiment.region_paths[f"{key}.mask.path"], region.mask.variable
-        name = variable or region.name
+        file = experiment.files["regions", place, "mask", "path"]
+        name = region.mask.variable or region.name
         found = read_on_lattice(experiment, lattice, f"{key}.mask", file, name, "variable")
         return np.nan_to_num(found.values) != 0
-    file = experiment.region_paths[f"{key}.column.path"]
+    file = experiment.files["regions", place, "column", "path"]
     column = region.column
     found = read_on_lattice(experiment, lattice, f"{key}.column", file, column.name, "name")
     return _has_values(experiment, f"{key}.column.values", found, column)
@@ -136,7 +136,7 @@ def _grade(
     grade = region.grade.get(name)
     if grade is None or grade.column is None:
         return np.full(lattice.shape, 0.0 if grade is None else grade.value)
-    file = experiment.region_paths[f"regions[{place}].column.path"]
+    file = experiment.files["regions", place, "column", "path"]
     key = f"regions[{place}].grade.{name}"
     found = read_on_lattice(experiment, lattice, key, file, grade.column, "column")
     values = found.values.astype(np.float64)

@@ -62,6 +62,13 @@ def point_from(document: Mapping[str, Any]) -> Point:
     return Point(tuple(document["coordinates"]), tuple(terms), amplitudes)
 
 
+def noise_from(last: xr.Dataset) -> Noise:
+    """The noise of a round from its file, `round_dataset`; without what it draws from."""
+    parts = tuple(last[f"covariance_{name}"].values for name in COMPONENTS)
+    declared = Noise(parts, (1.0,) * len(parts), np.eye(len(parts[0])), ())
+    return declared.scaled(json.loads(last.attrs["noise_factors"]))
+
+
 def standard_deviations(model: Model, data: Data, one: Round) -> np.ndarray:
     """Sd (unknown) of a round's coordinates and amplitudes, given its covariance and priors."""
     return np.sqrt(np.diag(posterior_covariance(model, data, one.fit, one.noise)))

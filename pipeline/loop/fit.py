@@ -198,8 +198,19 @@ def box(model: Model, point: Point) -> tuple[np.ndarray, ...]:
 def posterior_covariance(model: Model, data: Data, found: Fit, noise: Noise) -> np.ndarray:
     """Covariance (unknown, unknown) of a fit's coordinates and amplitudes, with their priors."""
     _, sd, _, _ = box(model, found.point)
-    whole = np.vstack([noise.whitened(found.slopes[data.use]), np.diag(1.0 / sd)])
-    return np.linalg.pinv(whole.T @ whole)
+    return covariance_given(noise.whitened(found.slopes[data.use]), sd)
+
+
+def covariance_given(white: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Covariance (unknown, unknown) from whitened slopes (n, unknown) and the priors' sd (unknown).
+
+    Taken in units of the priors: what no reading tells of keeps its prior, however far the
+    others' scales are from its own.
+    """
+    _, told, directions = np.linalg.svd(white * sd)
+    left = np.ones(len(sd))
+    left[: len(told)] /= 1.0 + told**2
+    return np.outer(sd, sd) * (directions.T @ (left[:, None] * directions))
 
 
 def _step(whole, misfit, x, low, high, damping) -> np.ndarray:

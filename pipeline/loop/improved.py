@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
+from functools import reduce
 from itertools import pairwise
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -44,8 +46,8 @@ def improved_document(
         document["measured"] = _relative(measured, at)
     if study.data is not None:
         document["data_label"] = study.data.label
-    if experiment.mask_path is not None:
-        document["geometry"]["mask"]["path"] = _relative(experiment.mask_path, at)
+    for (*parents, key), file in experiment.files.items():
+        reduce(getitem, parents, document)[key] = _relative(file, at)
     return document
 
 

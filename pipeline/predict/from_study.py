@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
-from scipy.linalg import cholesky, solve_triangular
 
 from pipeline.config.experiment import Experiment
 from pipeline.config.load import is_held_out
@@ -17,12 +16,11 @@ from pipeline.config.measured import MeasuredRow
 from pipeline.config.messages import ConfigError
 from pipeline.config.study import Study
 from pipeline.effects import lacking
-from pipeline.loop.covariance import COMPONENTS
-from pipeline.loop.documents import point_from
-from pipeline.loop.fit import box
+from pipeline.loop.documents import noise_from, point_from
+from pipeline.loop.fit import box, covariance_given
 from pipeline.loop.model import Case, Model, Point, Term, declared_of, limits
 from pipeline.loop.problem import make_problem
-from pipeline.predict.knowledge import AMPLITUDE, PARAMETER, Knowledge, Unknown
+from pipeline.predict.knowledge import Knowledge, Unknown, drawn_slope
 
 
 def from_study(
@@ -48,7 +46,6 @@ def from_study(
     """
     model = make_problem(study, experiments).model
     point = point_from(json.loads(last_round.attrs["point"]))
-    covariance = _covariance(model, point, last_round)
     remarks = ()
     names = [case.experiment.name for case in model.cases]
     if experiment.name in names:
@@ -64,24 +61,33 @@ def from_study(
         terms = tuple(_reaching(term, experiment, case) for term in point.terms)
         point = replace(point, terms=terms)
     _check_inputs(experiment, study, point, case)
+    fitted = list(zip(model.coordinates, point.coordinates, strict=True))
+    count = len(fitted)
+    _, priors, _, _ = box(model, point)
     unknowns = (
         *(
-            Unknown(c.label, PARAMETER, c.scale.unit, u, c.low, c.high, c.scale.backward)
-            for c, u in zip(model.coordinates, point.coordinates, strict=True)
+            Unknown.parameter(c.name, c.label, u, prior)
+            for (c, u), prior in zip(fitted, priors[:count], strict=True)
         ),
         *(
-            Unknown(t.label, AMPLITUDE, t.described.unit, a, *limits(t), lambda u: u)
-            for t, a in zip(point.terms, point.amplitudes, strict=True)
+            Unknown.amplitude(t.label, t.described.unit, a, *limits(t), prior)
+            for t, a, prior in zip(point.terms, point.amplitudes, priors[count:], strict=True)
         ),
     )
-    count = len(model.coordinates)
+    slopes = [drawn_slope(c.name, u) for c, u in fitted] + [1.0] * len(point.terms)
+    white = noise_from(last_round).whitened(last_round["parameter_sensitivity"].values)
+    covariance = covariance_given(white / slopes, np.array([one.prior for one in unknowns]))
 
-    def at(coordinates: np.ndarray):
+    def at(drawn: np.ndarray):
+        coordinates = [
+            u if x == one.best else c.scale.forward(one.value(x))
+            for x, one, (c, u) in zip(drawn[:count], unknowns[:count], fitted, strict=True)
+        ]
         own = [
-            float(coordinates[place]) if place >= 0 else one.start
+            coordinates[place] if place >= 0 else one.start
             for place, one in zip(places, view.coordinates, strict=True)
         ]
-        return view.at(point.moved(own, coordinates[count:]), case)
+        return view.at(point.moved(own, drawn[count:]), case)
 
     found = Knowledge(f"study {study.name}", unknowns, covariance, at, remarks)
     return found.relevant()
@@ -92,18 +98,6 @@ def was_studied(study: Study, name: str, row: MeasuredRow) -> bool:
     if name not in study.experiments:
         return False
     return study.hold_out == "leave_one_out" or not is_held_out(study, name, row)
-
-
-def _covariance(model: Model, point: Point, last: xr.Dataset) -> np.ndarray:
-    """Posterior covariance (unknown, unknown), as `fit.posterior_covariance` has it."""
-    factors = json.loads(last.attrs["noise_factors"])
-    parts = (last[f"covariance_{name}"].values for name in COMPONENTS)
-    noise = sum(factor * part for factor, part in zip(factors, parts, strict=True))
-    slopes = last["parameter_sensitivity"].values
-    white = solve_triangular(cholesky(noise, lower=True), slopes, lower=True)
-    _, sd, _, _ = box(model, point)
-    whole = np.vstack([white, np.diag(1.0 / sd)])
-    return np.linalg.pinv(whole.T @ whole)
 
 
 def _with_case(model: Model, experiment: Experiment, declared) -> Model:

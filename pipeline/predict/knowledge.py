@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from pipeline.calibrate.calibration import SCALES, Z90
+from pipeline.calibrate.calibration import SCALES, Z90, at_end
 from pipeline.config.experiment import Experiment
 from pipeline.config.measured import MeasuredRow
 from pipeline.effects import Active, declared_effects
 from pipeline.parameters import Parameters, declared_parameters
 
 TRIES = 10_000  # of a sample within the bounds
+UNTOLD = 0.5  # of its prior's sd: from there on the readings tell next to nothing of an unknown
 PARAMETER, AMPLITUDE = "parameter", "effect"
 
 KEY = ("quantity", "load_cell", "fill_height", "mass_drawn")  # of a row among targets
@@ -26,8 +29,8 @@ Point = tuple[Parameters, tuple[Active, ...]]
 class Unknown:
     """A calibrated parameter or an effect's amplitude.
 
-    `best`, `low` and `high` are in the coordinate that it was fitted in, `value` leads back to its
-    `unit`. `at_bound`: the fit ended at the end of its range.
+    `best`, `low`, `high` and the sd of its weak `prior` are in the coordinate that it is drawn in,
+    `value` leads back to its `unit`. `at_bound`: the fit ended at the end of its range.
     """
 
     label: str
@@ -37,20 +40,40 @@ class Unknown:
     low: float
     high: float
     value: Callable[[float], float]
+    prior: float
+    at_bound: bool
 
-    @property
-    def at_bound(self) -> bool:
-        """Whether the fit ended at the end of its range, where it is no fit."""
-        return min(self.best - self.low, self.high - self.best) < 1e-3 * (self.high - self.low)
+    @classmethod
+    def parameter(cls, name: str, label: str, u: float, prior: float | None = None) -> Unknown:
+        """A parameter that was fitted at `u`; without the sd of a prior, one as wide as its range.
+
+        E is drawn as it is: where it is near 1 readings are straight in E, and next to flat in
+        log(1 − E), in which the fit has it. Others are drawn in the coordinate of the fit.
+        """
+        scale = SCALES[name]
+        low, high = scale.bounds
+        at_bound, value = at_end(u, low, high), scale.backward
+        if name == "E":
+            u, low, high, value, prior = scale.backward(u), scale.low, scale.high, float, None
+        prior = prior or high - low
+        return cls(label, PARAMETER, scale.unit, u, low, high, value, prior, at_bound)
+
+    @classmethod
+    def amplitude(
+        cls, label: str, unit: str, best: float, low: float, high: float, prior: float
+    ) -> Unknown:
+        """An effect's amplitude, drawn as it is."""
+        at_bound = at_end(best, low, high)
+        return cls(label, AMPLITUDE, unit, best, low, high, float, prior, at_bound)
 
 
 @dataclass(frozen=True)
 class Knowledge:
     """Parameters and effects of an experiment with what is not known of them.
 
-    The unknowns are normal in the coordinates that they were fitted in (E as log(1 − E), the sd
-    of s and the flow parameters as logarithms), cut off at their bounds: so the fit itself has
-    them, and no sample leaves its range.
+    The unknowns are normal in the coordinates that they are drawn in (the sd of s and the flow
+    parameters as logarithms, others as they are), cut off at their bounds: no sample leaves its
+    range.
 
     Attributes
     ----------
@@ -70,17 +93,26 @@ class Knowledge:
 
     @property
     def best(self) -> np.ndarray:
-        """The fitted coordinates (unknown)."""
+        """The fitted values, as drawn (unknown)."""
         return np.array([one.best for one in self.unknowns])
 
     @property
+    def untold(self) -> tuple[Unknown, ...]:
+        """Unknowns of which the data tell next to nothing, alone or apart from the others."""
+        sd = np.sqrt(np.diag(self.covariance))
+        return tuple(
+            u for u, spread in zip(self.unknowns, sd, strict=True) if spread > UNTOLD * u.prior
+        )
+
+    @property
     def open(self) -> tuple[Unknown, ...]:
-        """Unknowns that the data do not bound: their 90 % intervals leave their ranges."""
+        """The others that the data do not bound: their 90 % intervals leave their ranges."""
         half = Z90 * np.sqrt(np.diag(self.covariance))
         return tuple(
             one
             for one, reach in zip(self.unknowns, half, strict=True)
-            if one.best - reach < one.low or one.best + reach > one.high
+            if (one.best - reach < one.low or one.best + reach > one.high)
+            and one not in self.untold
         )
 
     @property
@@ -150,6 +182,20 @@ class Knowledge:
         return np.concatenate([drawn[:n], best[n:] + moved])
 
 
+def drawn_slope(name: str, u: float) -> float:
+    """How a parameter moves in the coordinate that it is drawn in, by that of the fit, at `u`."""
+    return -math.exp(u) if name == "E" else 1.0
+
+
+def within(covariance: np.ndarray, unknowns: Sequence[Unknown]) -> np.ndarray:
+    """Covariance (unknown, unknown) of a fit without priors, together with the unknowns' own.
+
+    So a fit that ended where readings are flat has samples within its bounds.
+    """
+    prior = np.diag([one.prior**2 for one in unknowns])
+    return covariance @ np.linalg.solve(covariance + prior, prior)
+
+
 def _root(covariance: np.ndarray) -> np.ndarray:
     """Symmetric root of a covariance that may be singular."""
     size, directions = np.linalg.eigh(covariance)
@@ -171,32 +217,27 @@ def from_calibration(
     """
     oldest_first = tuple(reversed(chain))
     posteriors = [calibrations[one.name]["posterior"] for one in oldest_first]
-    unknowns = tuple(
-        _unknown(name, u, one.name if one is not chain[0] else "")
+    fitted = [
+        (name, u, name if one is chain[0] else f"{name} ({one.name})")
         for one, posterior in zip(oldest_first, posteriors, strict=True)
         for name, u in zip(posterior["parameters"], posterior["coordinates"], strict=True)
-    )
-    covariance = np.zeros((len(unknowns), len(unknowns)))
-    done = 0
-    for posterior in posteriors:
-        size = len(posterior["parameters"])
-        if size:
-            block = slice(done, done + size)
-            covariance[block, block] = posterior["covariance"]
-        done += size
-    best = [one.best for one in unknowns]
+    ]
+    unknowns = tuple(Unknown.parameter(name, label, u) for name, u, label in fitted)
+    slopes = np.array([drawn_slope(name, u) for name, u, _ in fitted])
+    blocks = [np.reshape(p["covariance"], (len(p["parameters"]),) * 2) for p in posteriors]
+    covariance = within(block_diag(*blocks) * np.outer(slopes, slopes), unknowns)
     effects = declared_effects(chain[0])
 
     def at(coordinates: np.ndarray) -> Point:
-        moved = iter(zip(coordinates, best, strict=True))
+        moved = iter(zip(coordinates, unknowns, strict=True))
         parameters = None
         for one, posterior in zip(oldest_first, posteriors, strict=True):
             used = Parameters.from_document(calibrations[one.name]["parameters_used"])
             values = {name: used.value(name) for name in posterior["parameters"]}
             for name in posterior["parameters"]:
-                u, fitted = next(moved)
-                if u != fitted:
-                    values[name] = SCALES[name].backward(u)
+                drawn, unknown = next(moved)
+                if drawn != unknown.best:
+                    values[name] = unknown.value(drawn)
             sources = None if parameters is None else {one.stress.from_: parameters}
             parameters = declared_parameters(one, sources).with_values(values)
         return parameters, effects
@@ -215,9 +256,3 @@ def was_calibrated(calibration: Mapping[str, Any], row: MeasuredRow) -> bool:
     return any(
         all(target[key] == getattr(row, key) for key in KEY) for target in calibration["targets"]
     )
-
-
-def _unknown(name: str, u: float, where: str) -> Unknown:
-    scale = SCALES[name]
-    label = f"{name} ({where})" if where else name
-    return Unknown(label, PARAMETER, scale.unit, u, *scale.bounds, scale.backward)

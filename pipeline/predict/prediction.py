@@ -231,6 +231,7 @@ class Samples:
 
     def document(self) -> list[dict[str, Any]]:
         """Each unknown's best value and the percentiles of its samples."""
+        untold = self._known.untold
         return [
             {
                 "label": one.label,
@@ -241,6 +242,7 @@ class Samples:
                 "std": float(column.std(ddof=1)),
                 **{f"p{p:02d}": float(np.percentile(column, p)) for p in PERCENTILES},
                 "at_bound": one.at_bound,
+                "identified": one not in untold,
             }
             for one, column in zip(self._known.unknowns, self.values.T, strict=True)
         ]
@@ -250,9 +252,16 @@ def _remarks(known: Knowledge) -> list[str]:
     if not known.unknowns:
         return ["Nothing here was calibrated: the band is that of the packing alone."]
     return [
-        f"The data do not bound {one.label}: its 90 % interval leaves its range. A normal "
-        "posterior, cut off there, is no more than a guess, and so is a band that hangs on it."
-        for one in known.open
+        *(
+            f"The data tell next to nothing of {one.label}, alone or apart from other unknowns: it "
+            "is drawn from its prior, and a band that hangs on it claims nothing."
+            for one in known.untold
+        ),
+        *(
+            f"The data do not bound {one.label}: its 90 % interval leaves its range, where its "
+            "normal posterior is cut off. A band that hangs on it is a guess."
+            for one in known.open
+        ),
     ]
 
 

@@ -330,17 +330,34 @@ def setup_table(results: Results, data: Data) -> Table:
         ("wall friction angle", experiment.walls and experiment.walls.friction_angle, "°",
          "walls.friction_angle"),
         *_effect_rows(experiment),
-        ("replicates", experiment.replicates, "", "replicates"),
+        *_replicate_rows(results),
         ("seed", experiment.seed, "", "seed"),
     )  # fmt: skip
     table = Table("setup", "Inputs as declared.", ["Input", "Value", "Unit", "Remarks"], data)
-    for words, value, unit, key in rows:
+    for words, value, unit, key, *remark in rows:
         if value is not None:
-            flag = ASSUMED if is_assumed(experiment, key) else ""
+            flag = ASSUMED if is_assumed(experiment, key) else remark
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
             cell = table.number(words, "value", value, None, unit) if is_number else shown(value)
             table.rows.append([words, cell, unit, flag])
     return table.without_empty_columns()
+
+
+def _replicate_rows(results: Results) -> Iterator[tuple]:
+    """How many replicates were asked for, and with `stop_at` how many were enough."""
+    experiment = results.experiment
+    stop_at, asked = experiment.stop_at, experiment.replicates
+    if stop_at is None:
+        yield "replicates", asked, "", "replicates"
+        return
+    largest = float(results.statistics["vertical_stress_se"].max())
+    reached = largest <= stop_at.standard_error
+    badge = Badge("reached", "good") if reached else Badge("not reached", "bad")
+    words = "standard error of a load cell's mean"
+    yield "replicates, at most", asked, "", "replicates"
+    yield f"{words} at which to stop", stop_at.standard_error, "kPa", "stop_at", badge
+    yield f"{words}, the largest of this run", largest, "kPa", "statistics"
+    yield "replicates of this run", results.count, "", "statistics"
 
 
 def _effect_rows(experiment: Experiment) -> Iterator[tuple]:

@@ -16,6 +16,7 @@ import matplotlib
 import numpy as np
 from markupsafe import Markup, escape
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure as MplFigure
 from matplotlib.patches import Rectangle
 from PIL import Image
@@ -130,6 +131,18 @@ class Panel:
         if upright:
             self.axes.invert_yaxis()
 
+    @classmethod
+    def of_rows(cls, data: Data, figure: str, title: str, x: str, alt: str, names) -> Panel:
+        """A panel with a row for each name, the first on top, for `dots` and `bars`."""
+        names = list(names)
+        size = (2.5, 0.3 + 0.27 * len(names))
+        left = max(cls.LEFT, 0.3 + 0.07 * max(map(len, names)))
+        panel = cls(data, figure, title, x, "", alt, size, left=left)
+        panel._rows = names
+        panel.axes.set_yticks(range(len(names)), names)
+        panel.axes.set_ylim(len(names) - 0.5, -0.5)
+        return panel
+
     def _box(self, left: float, width: float) -> tuple[float, float, float, float]:
         w, h = self._width, self._height
         return left / w, self.BOTTOM / h, width / w, self._size[1] / h
@@ -189,12 +202,6 @@ class Panel:
             f'<rect x="3" y="2" width="20" height="8" fill="var(--{_VARIABLES[color]})"/>'
         )
 
-    def rows(self, names) -> None:
-        """Name the rows of `dots` and `bars`, the first on top."""
-        self._rows = list(names)
-        self.axes.set_yticks(range(len(names)), names)
-        self.axes.set_ylim(len(names) - 0.5, -0.5)
-
     def shaded_points(
         self, label, x, y, shade, name, low, high, marker="o", error=None, colors=STRESS_COLORS
     ) -> None:
@@ -231,10 +238,26 @@ class Panel:
         self.axes.axvspan(low, high, color=color, alpha=0.14, linewidth=0)
         self.legend[label] = _band_swatch(color)
 
+    def classes(self, x, y, values, name, labels, colors=SPREAD_COLORS) -> None:
+        """Cells (y, x) in the color of their class, its place among `labels`; NaN stays blank.
+
+        The legend names the classes that occur. Where cells are too many, some stand for all.
+        """
+        step = _block(values)
+        shown = slice(step // 2, None, step)
+        x, y, values = x[shown], y[shown], values[shown, shown]
+        high = max(len(labels) - 1, 1)
+        self.image(x, y, values, name, 0, high, colors, bar=False)
+        for place in np.unique(values[np.isfinite(values)]).astype(int):
+            color = to_hex(matplotlib.colormaps[colors](place / high))
+            self.legend[labels[place]] = _swatch(
+                f'<rect x="1" y="1" width="24" height="10" fill="{color}" stroke="var(--muted)"/>'
+            )
+
     def image(
-        self, x, y, values, name, low, high, colors=STRESS_COLORS, stored="", frame=None
+        self, x, y, values, name, low, high, colors=STRESS_COLORS, stored="", frame=None, bar=True
     ) -> None:
-        """Cells (y, x) in color, at centers `x` and `y`, with a color bar; NaN stays blank.
+        """Cells (y, x) in color, at centers `x` and `y`; NaN stays blank. A `bar` has the scale.
 
         `stored` says which file, variable and indices hold the cells: the data then have their
         range in place of each.
@@ -271,7 +294,7 @@ class Panel:
         )
         _mark(shown, frame)
         self.axes.grid(False)
-        if not frame:
+        if bar and not frame:
             self.color_bar(name, low, high, colors)
 
     def cursor(self, x) -> None:
@@ -419,10 +442,15 @@ def section_size(width: float, height: float, largest=(2.9, 2.5)) -> tuple[float
     return max(width * scale, 0.75), max(height * scale, 0.9)
 
 
+def _block(values) -> int:
+    """Side, in cells, of the blocks in which a field with too many cells is shown."""
+    return int(np.ceil(np.sqrt(np.size(values) / MOST_PIXELS)))
+
+
 def block_means(x, y, values):
     """A field (y, x) with centers, in means over square blocks where it has too many cells."""
     values = np.asarray(values, dtype=np.float64)
-    block = int(np.ceil(np.sqrt(values.size / MOST_PIXELS)))
+    block = _block(values)
     if block <= 1:
         return np.asarray(x), np.asarray(y), values
     ny, nx = (-(-n // block) for n in values.shape)

@@ -13,8 +13,6 @@ from pipeline.report.page import Data, Figure, parts
 from pipeline.report.results import THRESHOLD_SD
 from pipeline.validate.validation import CALIBRATED, DECLARED, REPRODUCED
 
-NAMES_WIDTH = 2.2  # of the experiments' names beside a figure, inches
-
 
 def transmission_figure(entries: Sequence[Entry], data: Data) -> Figure | None:
     """E against R_h·H by wall friction angle, as declared and as calibrated (Fig. 10)."""
@@ -94,17 +92,15 @@ def published_figure(entries: Sequence[Entry], data: Data) -> Figure | None:
         return None
     names = [entry.name for entry in entries]
     worst = max((abs(e.published["mean_ratio"] - 1), e.name) for e in entries)
-    panel = Panel(
+    panel = Panel.of_rows(
         data,
         "published",
         "",
         "ours / published (–)",
-        "",
-        f"Ratio of our simulated mean to the published one; {worst[1]} is off by {worst[0]:.0%}.",
-        (2.5, 0.3 + 0.27 * len(names)),
-        left=NAMES_WIDTH,
+        f"Ratio of our simulated mean to the published one; {worst[1]} is off "
+        f"by {100 * worst[0]:.0f} %.",
+        names,
     )
-    panel.rows(names)
     panel.span("counts as reproduced", 1 - REPRODUCED, 1 + REPRODUCED, GREEN)
     panel.reference("equal", x=1.0)
     for words, reproduced, color in (
@@ -139,17 +135,14 @@ def error_figure(entries: Sequence[Entry], data: Data) -> Figure | None:
     if not entries:
         return None
     names = [f"{entry.name}" for entry in entries]
-    panel = Panel(
+    panel = Panel.of_rows(
         data,
         "errors",
         "",
         "model less value (sd of the value)",
-        "",
         "Errors of each experiment in standard deviations of its data.",
-        (2.5, 0.3 + 0.27 * len(names)),
-        left=NAMES_WIDTH,
+        names,
     )
-    panel.rows(names)
     panel.span(f"within {THRESHOLD_SD:g} sd", -THRESHOLD_SD, THRESHOLD_SD)
     panel.reference("no error", x=0.0)
     series = {

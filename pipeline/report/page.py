@@ -174,6 +174,11 @@ class Table:
                 heads.append((group, [name]))
         return heads
 
+    def has_numbers(self, group: str, name: str) -> bool:
+        """Whether a column has numbers, which are aligned at its right."""
+        place = self.columns.index(f"{group}: {name}" if group else name)
+        return any(isinstance(row[place], Number) for row in self.rows)
+
     def without_empty_columns(self) -> Table:
         """The table less the columns in which no row has anything."""
         kept = [

@@ -179,8 +179,9 @@ def band_figure(content: Content, data: Data) -> Figure:
     left_out = len(content.places) - len(content.shown_places)
     caption = parts(
         "Bands hold 90 % of n = {} samples (5th to 95th percentile); each draws what the one "
-        "before it draws, and one thing more. Lines are medians.{}{}",
+        "before it draws, and one thing more. {} are medians.{}{}",
         data.number("bands", "", "samples", content.document["samples"]),
+        "Lines" if len(content.clock) > 1 else "Squares",
         parts(
             " Points are the {} data, with one sd; one that is a mean over several packings "
             "scatters less than the band.",
@@ -265,12 +266,8 @@ def share_figure(content: Content, data: Data) -> Figure:
             )
             for place, share in shares.items()
         )
-        size = (3.0, max(0.9, 0.32 * len(shares)))
         alt = f"Shares of the variance, {title}: {words}."
-        left = 0.3 + 0.085 * max(map(len, shares))
-        name = "share of the variance (%)"
-        panel = Panel(data, "shares", title, name, "", alt, size, left=max(left, Panel.LEFT))
-        panel.rows(shares)
+        panel = Panel.of_rows(data, "shares", title, "share of the variance (%)", alt, shares)
         start = np.zeros(len(shares))
         for i, source in enumerate(content.sources):
             length = np.array([share[i] for share in shares.values()])
@@ -296,7 +293,7 @@ def _unit(content: Content) -> str:
 
 def share_table(content: Content, data: Data) -> Table:
     """Percentiles, sd and shares of every load cell at its readings."""
-    columns = ["Place", content.clock_name]
+    columns = ["Place", content.clock_name[0].upper() + content.clock_name[1:]]
     columns += [f"Stress (kPa): {name}" for name in ("P5", "P10", "P50", "P90", "P95", "sd")]
     sources = [s for s in content.sources if s != "effect" or content.has_effects]
     columns += [f"{s.capitalize()} (%): {name}" for s in sources for name in ("share", "se")]
@@ -362,10 +359,16 @@ def unknown_table(content: Content, data: Data) -> Table | None:
                 one["kind"],
                 *(table.number(one["label"], c, value, None, one["unit"]) for c, value in cells),
                 "–" if one["unit"] == "1" else one["unit"],
-                Badge("at the end of its range: not a fit", "bad") if one["at_bound"] else "",
+                _unknown_badge(one),
             ]
         )
     return table.without_empty_columns()
+
+
+def _unknown_badge(one: Mapping[str, Any]) -> Badge | str:
+    if one["at_bound"]:
+        return Badge("at the end of its range: not a fit", "bad")
+    return "" if one["identified"] else Badge("next to nothing is known of it", "bad")
 
 
 def reading_table(content: Content, data: Data) -> Table | None:
@@ -413,9 +416,9 @@ def method(content: Content, data: Data) -> Markup:
         "what was drawn; what they differ in, to the packing (law of total variance: parameters "
         "before effects, effects given the parameters; Mara & Tarantola 2012, Reliab. Eng. Syst. "
         "Saf. 107, 115–121). Standard errors of shares: jackknife over pairs (Efron & Stein 1981, "
-        "Ann. Stat. 9, 586–596). Unknowns are normal in the coordinates that they were fitted in "
-        "(E as log(1 − E)), cut off at their bounds. What no fit knows of is in no band: an "
-        "effect that is missing, an input declared wrong.",
+        "Ann. Stat. 9, 586–596). Unknowns are normal (the sd of s and the flow parameters in their "
+        "logarithms), cut off at their bounds. What no fit knows of is in no band: an effect that "
+        "is missing, an input declared wrong.",
         data.number("method", "", "samples", content.document["samples"]),
         data.number("method", "", "replicates", content.document["simulated_replicates"]),
     )

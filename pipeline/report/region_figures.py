@@ -98,14 +98,16 @@ def section_figure(results: Results, data: Data) -> Figure:
             "height z (m)",
             f"Section before draw: {alt}.",
             section_size(x[-1] + x[0], z[-1] + z[0]),
-            bar=True,
+            bar=title != "Region",
         )
-        high = len(names) - 1 if title == "Region" else float(np.nanmax(values))
-        panel.image(x, z, values, words, 0.0, high or 1.0, SPREAD_COLORS)
+        if title == "Region":
+            labels = [f"{number}: {name}" for number, name in enumerate(names)]
+            panel.classes(x, z, values, words, labels)
+        else:
+            panel.image(x, z, values, words, 0.0, float(np.nanmax(values)) or 1.0, SPREAD_COLORS)
         panels.append(panel)
     caption = parts(
-        "Regions before draw ({}), and their grades; x–z section at y = {} m.",
-        ", ".join(f"{number}: {name}" for number, name in enumerate(names)),
+        "Regions before draw, and their grades; x–z section at y = {} m.",
         data.number("regions", "", "y", float(model["y"]), unit="m"),
     )
     return Figure("regions", "Regions and grades before draw", caption, panels)

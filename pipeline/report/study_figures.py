@@ -14,7 +14,6 @@ from pipeline.report.figures import BLUE, GREEN, INK, MARKERS, MUTED, ORANGE, PU
 from pipeline.report.page import Data, Figure, decimals_of, parts
 from pipeline.report.results import THRESHOLD_SD, quantity_words
 
-NAMES_WIDTH = 2.2  # of names beside rows, inches
 WIDE = 15.0  # standard deviations from which their axis turns logarithmic
 WIDE_RATIO = 20.0  # of the largest to the smallest value, likewise
 STANDARD = "data less model (sd)"
@@ -101,17 +100,14 @@ def _by_group(residual: xr.Dataset, values: np.ndarray, data: Data) -> Iterator[
         if len(rows) < 2:
             continue
         shown = [(v, name) for v, name in zip(values, names, strict=True) if name]
-        panel = Panel(
+        panel = Panel.of_rows(
             data,
             "standardized",
             f"By {words}",
             STANDARD,
-            "",
             f"Standardized residuals by {words}.",
-            (2.5, 0.3 + 0.27 * len(rows)),
-            left=NAMES_WIDTH,
+            rows,
         )
-        panel.rows(rows)
         panel.span(f"within {THRESHOLD_SD:g} sd", -THRESHOLD_SD, THRESHOLD_SD)
         panel.reference("no error", x=0.0)
         panel.dots("reading", *zip(*shown, strict=True), BLUE, filled=False)
@@ -154,17 +150,14 @@ def misfit_figure(residual: xr.Dataset, data: Data) -> Figure | None:
     if len(names) < 2 or not squares.sum() > 0.0:
         return None
     shares = [100.0 * squares[experiments == name].sum() / squares.sum() for name in names]
-    panel = Panel(
+    panel = Panel.of_rows(
         data,
         "misfit",
         "",
         "share of the misfit (%)",
-        "",
         f"Share of the misfit by experiment; {names[int(np.argmax(shares))]} has the most.",
-        (2.5, 0.3 + 0.27 * len(names)),
-        left=NAMES_WIDTH,
+        names,
     )
-    panel.rows(names)
     panel.bars("share", shares, names)
     panel.axes.set_xlim(0, None)
     caption = parts(
@@ -187,17 +180,14 @@ def posterior_figures(found: Mapping[str, Any], data: Data) -> list[Figure]:
         added = {e["name"] for e in found["effects_added"] if e["round"] == number}
         best = max(probability, key=probability.get)
         figure = f"posterior_{number}"
-        panel = Panel(
+        panel = Panel.of_rows(
             data,
             figure,
             "",
             "posterior probability (–)",
-            "",
             f"Posterior by name in round {number}; {best} has the most, {probability[best]:.3f}.",
-            (2.5, 0.3 + 0.24 * len(names)),
-            left=NAMES_WIDTH,
+            names,
         )
-        panel.rows(names)
         for words, is_added, color in (("added", True, GREEN), ("not added", False, MUTED)):
             of = [name for name in names if (name in added) is is_added]
             if of:
@@ -250,17 +240,14 @@ def fold_figure(folds: Sequence[Mapping[str, Any]], data: Data) -> Figure | None
     }
     if len(errors) < 2:
         return None
-    panel = Panel(
+    panel = Panel.of_rows(
         data,
         "folds",
         "",
         "held-out error, rms of logarithms (–)",
-        "",
         "Held-out error before and after, by what was held out.",
-        (2.5, 0.3 + 0.27 * len(errors)),
-        left=NAMES_WIDTH,
+        errors,
     )
-    panel.rows(errors)
     before, after = zip(*errors.values(), strict=True)
     panel.dots("before", before, errors, ORANGE, "s", False)
     panel.dots("after", after, errors, BLUE)

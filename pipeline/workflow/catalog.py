@@ -95,8 +95,7 @@ class Catalog:
         experiment = self.experiments[name]
         parts = [digest(experiment), repr([_said(row) for row in check_measured(experiment)])]
         parts.append(self.effects(name))
-        masks = [experiment.mask_path] if experiment.mask_path is not None else []
-        for file in (*masks, *experiment.region_paths.values()):
+        for file in experiment.files.values():
             parts.append(hashlib.sha256(file.read_bytes()).hexdigest())
         return sha256("".join(parts))
 

@@ -163,6 +163,19 @@ def test_a_parameter_without_data_keeps_its_start_and_says_so(column):
     ]
 
 
+@pytest.mark.parametrize(("mass", "blind"), [(0.0, ["R"]), (8.0, ["E", "R"])])
+def test_what_no_row_tells_of_is_as_open_as_its_range(drawn, mass, blind):
+    """R moves nothing before draw; during it one reading tells of E and R together, not apart."""
+    experiment = drawn(calibrate=["E", "R"])
+    calibration = fit(experiment, (row(load_cell="beside", mass_drawn=mass, value=6.0),))
+    posterior = calibration["posterior"]
+    sd = dict(zip(posterior["parameters"], np.sqrt(np.diag(posterior["covariance"])), strict=True))
+    assert sd["R"] > 0.5
+    said = [text.partition(":")[0] for text in calibration["messages"] if "tells of it" in text]
+    assert said == blind
+    assert calibration["parameters"]["R"]["interval_open"]
+
+
 def test_without_rows_nothing_is_fitted(column):
     calibration = fit(column(calibrate=["E", "s"]), ())
     assert calibration["parameters_used"] == calibration["declared"]

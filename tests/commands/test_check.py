@@ -11,6 +11,7 @@ from specs import expectations
 CORPUS = Path(__file__).parents[1] / "config" / "bad"
 EXPERIMENTS = sorted((CORPUS / "experiments").glob("*/*.yaml"))
 STUDIES = sorted((CORPUS / "studies").glob("*.yaml"))
+PREDICTIONS = sorted((CORPUS / "predictions").glob("*/experiments/predicted.yaml"))
 OTHERS = sorted(path for kind in ("comparisons", "imports") for path in (CORPUS / kind).glob("*"))
 TABLES = sorted((CORPUS / "experiments").glob("*/measured/*.csv"))
 OTHERS_ONLY = "other_experiments_only"  # told in other words where the table itself is checked
@@ -18,8 +19,11 @@ OTHERS_ONLY = "other_experiments_only"  # told in other words where the table it
 
 @pytest.mark.parametrize(
     "path",
-    [*EXPERIMENTS, *STUDIES, *OTHERS, *(table for table in TABLES if table.stem != OTHERS_ONLY)],
-    ids=lambda path: path.stem,
+    [
+        *(*EXPERIMENTS, *STUDIES, *OTHERS, *PREDICTIONS),
+        *(table for table in TABLES if table.stem != OTHERS_ONLY),
+    ],
+    ids=lambda path: path.parents[1].name if path in PREDICTIONS else path.stem,
 )
 def test_what_the_workflow_refuses_is_refused(path, call, assert_in_house_style):
     answer = call("check", path)
@@ -63,6 +67,18 @@ def test_a_comparison_is_checked_with_its_experiments(mine, call):
     assert (
         "experiments[1] = fats: no such experiment; did you mean fast?" in call("check", path).err
     )
+
+
+def test_a_prediction_is_checked_with_its_study(mine, call):
+    """It is looked for in the folder beside the experiment's, or where it is said to be."""
+    path = mine / "experiments" / "box.yaml"
+    path.write_text(path.read_text("utf-8") + "\nprediction: {study: loop}\n", "utf-8")
+    assert call("check", path).status == 0
+    (mine / "studies").rename(mine / "elsewhere")
+    answer = call("check", path)
+    assert answer.status == 1
+    assert "prediction.study = loop: no such study; there are none in mine/studies" in answer.err
+    assert call("check", path, "--studies", mine / "elsewhere").status == 0
 
 
 def test_import_settings_are_checked_wherever_they_lie(mine, call, repository):

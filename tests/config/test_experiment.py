@@ -72,7 +72,7 @@ def test_name_and_paths_follow_the_file(tmp_path):
     column = load_experiment(tmp_path / "column.yaml")
     assert column.name == "column"
     assert column.path == tmp_path / "column.yaml"
-    assert column.mask_path == tmp_path / "ground.nc"
+    assert column.files == {("geometry", "mask", "path"): tmp_path / "ground.nc"}
     assert column.measured_path is None
     assert (column.is_draw, column.mass_scheduled) == (False, 0)
 

@@ -2,13 +2,14 @@
 
 import re
 import shlex
+import textwrap
 from pathlib import Path
 
 import pytest
 
 from pipeline.__main__ import main
 from pipeline.commands.export import FORMATS
-from pipeline.config.load import load_experiment
+from pipeline.config.load import check_measured, load_experiment
 
 FILES = Path(__file__).parent / "mine_files"
 
@@ -21,19 +22,23 @@ def commands(repository):
     return [shlex.split(re.sub(r"\\\n\s*", "", line)) for line in lines]
 
 
-def test_imports_run_as_the_page_says(commands, tmp_path, monkeypatch):
+def test_imports_run_as_the_page_says(commands, repository, tmp_path, monkeypatch, capsys):
+    """They say what to type next, and the last one's readings belong to the experiment."""
     monkeypatch.chdir(tmp_path)
+    page = (repository / "docs" / "mine_files.md").read_text(encoding="utf-8")
+    cells, table = re.search(r"(?m)((?:    .*\n)+?)    (measured: \S+\.csv)", page).groups()
+    path = tmp_path / "my_experiments" / "cave_m.yaml"
     imports = [command for command in commands if command[0] == "import"]
     assert [command[1] for command in imports] == ["blocks", "blocks", "massflow", "measured"]
     for command in imports:
         if command[1] == "measured":
-            path = tmp_path / "my_experiments" / "cave_m.yaml"
-            cells = "- {name: P%d, x: 10, y: 10, width: 10, length: 10}\n"
-            path.write_text(path.read_text() + "load_cells:\n" + cells % 1 + cells % 2)
+            path.write_text(path.read_text() + textwrap.dedent(cells))
         assert main([word.replace("$FILES", str(FILES)) for word in command]) == 0
+    assert capsys.readouterr().out.count(" python -m pipeline check ") == 3
+    path.write_text(path.read_text() + table)
     for name in ("cave", "cave_v", "cave_m"):
         load_experiment(tmp_path / "my_experiments" / f"{name}.yaml")
-    assert (tmp_path / "my_experiments" / "measured" / "cave_m.csv").is_file()
+    assert len(check_measured(load_experiment(path))) == 4
 
 
 def test_the_export_runs_as_the_page_says(commands, written, tmp_path, monkeypatch):

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 import yaml
 from worlds import mixed_world, walled_world
 
 from pipeline.config.load import load_experiment, load_experiments
 from pipeline.effects import declared_effects
-from pipeline.lattice.block_model import build_block_model
+from pipeline.lattice.block_model import build_block_model, lattice_of
 from pipeline.loop.improved import improved_documents
 from pipeline.loop.model import Point, Term
 from pipeline.montecarlo.streams import LOOP_FLOW, LOOP_PACKING
@@ -156,6 +157,36 @@ def test_a_neutral_term_is_not_written(tmp_path):
         assert document.get("effects", {}) == {}
         assert text.startswith("# Written by the closed loop of study tiny")
         assert document["stress"]["E"] == world.experiments[name].stress.E
+
+
+def test_files_that_an_experiment_names_are_found_from_where_it_is_written(tmp_path):
+    """Its mask and those of its regions, wherever they lie."""
+    world = walled_world(tmp_path / "w", names="ab", study={"hold_out": ["a"]})
+    folder = world.folder / "experiments"
+    lattice = lattice_of(world.experiments["b"])
+    everywhere = np.ones(lattice.shape, dtype=np.int8)
+    axes = {axis: (axis, lattice.centers(axis)) for axis in "zyx"}
+    (folder / "ground").mkdir()
+    xr.Dataset({"ground": (("z", "y", "x"), everywhere)}, axes).to_netcdf(
+        folder / "ground" / "b.nc"
+    )
+    file = folder / "b.yaml"
+    document = yaml.safe_load(file.read_text("utf-8"))
+    document["geometry"]["mask"] = {"type": "file", "path": "ground/b.nc", "variable": "ground"}
+    column = {"path": "ground/b.nc", "name": "ground", "values": [1]}
+    document["regions"] = [
+        {"name": "all", "box": {"z": [0, 1]}},
+        {"name": "ground", "mask": "ground/b.nc"},
+        {"name": "blocks", "column": column},
+    ]
+    file.write_text(yaml.safe_dump(document), "utf-8")
+    problem = world.problem()
+    files = written(world, problem.model, problem.model.start, tmp_path / "improved")
+    found = build_block_model(files["b"])
+    assert found.equals(build_block_model(world.experiments["b"]))
+    assert [file.resolve() for file in files["b"].files.values()] == [
+        folder / "ground" / "b.nc"
+    ] * 3
 
 
 def test_data_of_the_study_s_own_go_with_the_files(tmp_path):

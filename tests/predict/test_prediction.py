@@ -75,7 +75,7 @@ def linear(correlation):
     """Unknowns of a toy: a parameter and an amplitude, sd 2 and 3."""
     covariance = np.array([[4.0, 6.0 * correlation], [6.0 * correlation, 9.0]])
     unknowns = tuple(
-        Unknown(label, kind, "1", 0.0, -1e6, 1e6, float)
+        Unknown(label, kind, "1", 0.0, -1e6, 1e6, float, 1e6, False)
         for label, kind in (("a", PARAMETER), ("b", AMPLITUDE))
     )
     return Knowledge("a toy", unknowns, covariance, lambda u: u)
@@ -132,17 +132,55 @@ def test_a_scatter_that_grows_with_the_parameter_is_the_interaction():
     assert error.max() < 0.03
 
 
-@pytest.mark.parametrize("name", ["E", "s.std"])
-def test_no_sample_leaves_its_range_and_the_spread_is_the_posteriors(name, predicted, posterior):
+@pytest.mark.parametrize(("name", "sd"), [("E", 0.02), ("s.std", 0.2)])
+def test_no_sample_leaves_its_range_and_the_spread_is_the_posteriors(
+    name, sd, predicted, posterior
+):
+    """E = 0.9 as it is, with the sd that 0.2 in ln(1 − E) is; the sd of s as its logarithm."""
     experiment = predicted(prediction={"samples": 400})
     u = SCALES[name].forward(declared_parameters(experiment).value(name))
     dataset, _ = of(experiment, posterior(experiment, {name: (u, 0.2)}))
     values = dataset[{"E": "sampled_E", "s.std": "sampled_s_std"}[name]].values
     assert SCALES[name].low <= values.min() < values.max() <= SCALES[name].high
-    drawn = np.array([SCALES[name].forward(value) for value in values])
+    drawn = values if name == "E" else np.log(values)
+    best = 0.9 if name == "E" else u
     assert len(set(values)) == 200  # two packings each
-    assert drawn.mean() == pytest.approx(u, abs=ERRORS * 0.2 / math.sqrt(200))
-    assert drawn.std() == pytest.approx(0.2, rel=ERRORS / math.sqrt(400))
+    assert drawn.mean() == pytest.approx(best, abs=ERRORS * sd / math.sqrt(200))
+    assert drawn.std() == pytest.approx(sd, rel=ERRORS / math.sqrt(400))
+
+
+def test_near_1_E_stays_where_the_readings_have_it(predicted, reading):
+    """A load of all the weight says E = 1, give or take what the readings' sd is in E.
+
+    The fit ends at its range's end, where log(1 − E) is next to flat: its sd is thousands.
+    """
+    experiment = predicted(calibrate=["E"], prediction={"samples": 200})
+    model = build_block_model(experiment)
+    setup = make_setup(experiment, model)
+    weight = 1600 * 9.81 * 1.0 / 1000 * 1.01
+    rows = [reading(weight, 0.5, count=None)]
+    calibration = calibrate(experiment, setup, declared_parameters(experiment), rows)
+    assert calibration["posterior"]["covariance"][0][0] > 100.0**2
+    dataset, document = of(experiment, calibration, rows)
+    slope = weight * (10 - 1) / 2  # of the base's stress by E at 1, ten layers
+    off = 1.0 - dataset["sampled_E"].values
+    assert 0.0 < off.min() < off.max() < 5 * 0.5 / slope
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(0.5 / slope, rel=0.25)
+    assert "do not bound E" in document["remarks"][0]
+    (unknown,) = document["unknowns"]
+    assert unknown["at_bound"]
+    assert unknown["identified"]
+
+
+def test_what_no_reading_tells_of_is_drawn_from_its_prior_and_said_so(predicted, posterior):
+    experiment = predicted(prediction={"samples": 200})
+    low, high = SCALES["s.std"].bounds
+    fitted = {"E": (SCALES["E"].forward(0.9), 0.1), "s.std": (math.log(3), high - low)}
+    dataset, document = of(experiment, posterior(experiment, fitted))
+    (remark,) = document["remarks"]
+    assert remark.startswith("The data tell next to nothing of s.std")
+    assert [one["identified"] for one in document["unknowns"]] == [True, False]
+    assert np.log(dataset["sampled_s_std"].values).std() > 0.2 * (high - low)
 
 
 def test_a_posterior_that_fills_its_range_is_cut_off_at_its_ends(drawn, posterior):
@@ -156,7 +194,7 @@ def test_a_posterior_that_fills_its_range_is_cut_off_at_its_ends(drawn, posterio
 
 
 def test_an_impossible_posterior_is_said_so(predicted):
-    unknown = Unknown("E", PARAMETER, "1", 0.0, -1e-9, 1e-9, float)
+    unknown = Unknown("E", PARAMETER, "1", 0.0, -1e-9, 1e-9, float, 1.0, False)
     known = Knowledge("study x", (unknown,), np.eye(1), lambda u: u)
     with pytest.raises(ValueError, match="study x: no sample of E within"):
         known.sample(random_stream(1, "a", 0, 0))
@@ -180,19 +218,18 @@ def test_what_a_source_knows_is_carried_along(predicted, posterior):
 
 
 def gains(experiment, sd, correlation=0.0):
-    """An unknown E, and an unknown gain of load cell C1, 1.2 at best."""
+    """An unknown E, and an unknown gain of load cell C1, 1.2 at best; `sd` of ln(1 − E) and it."""
     parameters = declared_parameters(experiment)
-    scale = SCALES["E"]
-    u = scale.forward(parameters.E)
+    sd = sd[0] * (1 - parameters.E), sd[1]
     across = correlation * sd[0] * sd[1]
     unknowns = (
-        Unknown("E", PARAMETER, "1", u, *scale.bounds, scale.backward),
-        Unknown("sensor_gain.gain [C1]", AMPLITUDE, "1", 1.2, 0.1, 10.0, float),
+        Unknown("E", PARAMETER, "1", parameters.E, 1e-4, 1 - 1e-7, float, 1.0, False),
+        Unknown.amplitude("sensor_gain.gain [C1]", "1", 1.2, 0.1, 10.0, 10.0),
     )
 
     def at(x):
         effects = (Active("sensor_gain", {"gain": float(x[1])}, "C1"),)
-        return parameters.with_values({"E": scale.backward(x[0])}), effects
+        return parameters.with_values({"E": x[0]}), effects
 
     covariance = np.array([[sd[0] ** 2, across], [across, sd[1] ** 2]])
     return Knowledge("study x", unknowns, covariance, at)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from comparisons import MadeComparison, make_comparison
-from other_pages import make_blind, make_catalogue, make_index
+from other_pages import make_blind, make_catalogue, make_index, make_prediction
 from pages import Made, row
 from pages import make_page as make_page_in
 from studies import MadeStudy, closed_loop, make_study
@@ -95,7 +95,32 @@ def pillars(drawn, make_page) -> Made:
         for row in range(3)
         for i in range(6)
     ]
-    return make_page(drawn("pillars", load_cells=cells, assumed=["load_cells"], replicates=3))
+    return make_page(
+        drawn("pillars_of_lower_level", load_cells=cells, assumed=["load_cells"], replicates=3)
+    )
+
+
+@pytest.fixture(scope="session")
+def prediction(drawn, tmp_path_factory) -> Path:
+    """A prediction of a draw, held against readings of a load cell and of the base."""
+    experiment = drawn(
+        title="A draw", prediction={"samples": 20}, measured="table.csv", data_label="measured"
+    )
+    readings = ((0.0, "beside", 9.0), (4.0, "beside", 6.0), (8.0, "above", 4.0), (8.0, None, 9.0))
+    rows = [row(value=v, load_cell=c, mass_drawn=m, count=1) for m, c, v in readings]
+    return make_prediction(experiment, rows, "beside", tmp_path_factory.mktemp("prediction"))
+
+
+@pytest.fixture(scope="session")
+def still(column, tmp_path_factory) -> Path:
+    """A prediction of a column at one reading, with many load cells."""
+    cells = [
+        {"name": f"C{i}", "x": 0.05 * i, "y": 0.2, "width": 0.05, "length": 0.05}
+        for i in range(1, 10)
+    ]
+    experiment = column("still", load_cells=cells, prediction={"samples": 20}, measured="table.csv")
+    rows = [row(load_cell=f"C{i}", value=8.0 + i, count=1) for i in (1, 2)]
+    return make_prediction(experiment, rows, "C1", tmp_path_factory.mktemp("still"))
 
 
 @pytest.fixture(scope="session")
@@ -111,6 +136,7 @@ def catalogue(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def index(tmp_path_factory, static, draw, study, comparison, blind) -> Path:
-    """The index of an experiment, a draw, a study, a comparison and a blind benchmark."""
-    return make_index(tmp_path_factory.mktemp("index"), [static, draw], study, comparison, blind)
+def index(tmp_path_factory, static, draw, pillars, study, comparison, blind) -> Path:
+    """The index of an experiment, two draws, a study, a comparison and a blind benchmark."""
+    made = [static, draw, pillars]
+    return make_index(tmp_path_factory.mktemp("index"), made, study, comparison, blind)

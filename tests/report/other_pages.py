@@ -1,5 +1,6 @@
-"""Pages that no experiment or study of the tests makes: blind benchmark, catalogue, index."""
+"""Pages beside those of experiments and studies: predictions, blind benchmark, catalogue, index."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,13 +12,55 @@ from studies import MadeStudy
 
 from pipeline.blind.scored import Scored
 from pipeline.blind.scores import score
-from pipeline.effects import effects
-from pipeline.files.atomic import write_json, write_text
+from pipeline.calibrate.calibration import SCALES
+from pipeline.config.experiment import Experiment
+from pipeline.config.measured import MeasuredRow
+from pipeline.effects import Active, effects
+from pipeline.files.atomic import read_json, write_json, write_text
+from pipeline.files.netcdf import read_dataset, write_dataset
+from pipeline.lattice.block_model import build_block_model
+from pipeline.parameters import declared_parameters
+from pipeline.predict.knowledge import Knowledge, Unknown
+from pipeline.predict.prediction import predict
 from pipeline.report.blind import write_blind_report
 from pipeline.report.catalogue import write_catalogue
 from pipeline.report.index import write_index
+from pipeline.report.prediction import write_prediction_report
 
 FIGURE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 4 3"><path d="M0 0H4V3"/></svg>'
+
+
+def make_prediction(
+    experiment: Experiment, rows: Sequence[MeasuredRow], cell: str, folder: Path
+) -> Path:
+    """Page of a prediction with E, a sd of s of which nothing is known, and a gain of one cell.
+
+    The first of the rows was used in the fit.
+    """
+    declared = declared_parameters(experiment)
+    names, gain = ("E", "s.std"), "sensor_gain.gain"
+    unknowns = (
+        *(Unknown.parameter(n, n, SCALES[n].forward(declared.value(n))) for n in names),
+        Unknown.amplitude(f"{gain} [{cell}]", "1", 1.1, 0.1, 10.0, 10.0),
+    )
+
+    def at(x):
+        parameters = declared.with_values({"E": x[0], "s.std": math.exp(x[1])})
+        return parameters, (Active("sensor_gain", {"gain": float(x[2])}, cell),)
+
+    covariance = np.diag([0.01, unknowns[1].prior, 0.1]) ** 2
+    known = Knowledge("study walls", unknowns, covariance, at)
+    dataset, document = predict(
+        experiment, build_block_model(experiment), known, rows, lambda row: row is rows[0]
+    )
+    samples, numbers = folder / "prediction.nc", folder / "prediction.json"
+    write_dataset(samples, dataset, experiment, "predict", "Prediction")
+    write_json(numbers, document)
+    page = folder / "prediction.html"
+    write_prediction_report(
+        experiment, read_dataset(samples), read_json(numbers), page, folder / "prediction_data.csv"
+    )
+    return page
 
 
 def truth(world: str, kind: str, *names: str, **more) -> dict:

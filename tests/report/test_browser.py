@@ -12,6 +12,8 @@ KINDS = (
     "regions",
     "study",
     "comparison",
+    "prediction",
+    "still",
     "blind",
     "catalogue",
     "index",

@@ -326,3 +326,20 @@ def test_the_overburden_is_that_of_the_regions(regions):
 def test_a_page_without_regions_says_nothing_of_them(draw):
     assert "table-regions" not in draw.html
     assert "dilution" not in draw.html
+
+
+@pytest.mark.parametrize(
+    ("target", "count", "words"), [(1e3, 5, "reached"), (1e-6, 8, "not reached")]
+)
+def test_a_run_that_may_stop_says_when_it_did(column, make_page, target, count, words):
+    cells = [{"name": "C", "x": 0.25, "y": 0.2, "width": 0.1, "length": 0.1}]
+    stop_at = {"standard_error": target, "at_least": 5}
+    made = make_page(column("stopping", load_cells=cells, stop_at=stop_at))
+    setup = re.search(r'<table id="table-setup">.*?</table>', made.html, re.DOTALL)[0]
+    assert f">{words}</span>" in setup
+    shown = {row["panel"]: float(row["y"]) for row in made.rows if row["figure"] == "setup"}
+    assert shown["replicates, at most"] == 8
+    assert shown["replicates of this run"] == count
+    stress = replicates(made)["vertical_stress"].values
+    largest = shown["standard error of a load cell's mean, the largest of this run"]
+    assert largest == pytest.approx(stress.std(axis=0, ddof=1).max() / np.sqrt(count), rel=1e-6)

@@ -68,6 +68,16 @@ def test_a_large_field_is_shown_in_block_means():
     np.testing.assert_allclose(few[5, :-1], few_x[:-1])
 
 
+@pytest.mark.parametrize("size", [3, 300])
+def test_classes_are_never_mixed_and_only_those_that_occur_are_named(panel, size):
+    codes = np.full((size, size), 2.0)
+    codes[: size // 2] = 0.0
+    panel.classes(np.arange(size), np.arange(size), codes, "class", ["ore", "rock", "cap"])
+    assert list(panel.legend) == ["ore", "cap"]
+    (image,) = panel.axes.images
+    assert set(np.unique(image.get_array())) == {0.0, 2.0}
+
+
 def test_a_small_field_is_shown_as_it_is():
     values = np.ones((3, 4))
     np.testing.assert_array_equal(block_means(np.arange(4), np.arange(3), values)[2], values)

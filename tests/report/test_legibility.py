@@ -10,7 +10,10 @@ from legibility import GROUNDS, TEXTS, contrast, stumbles, themes
 from pipeline.report.figures import Panel, panel_style
 from pipeline.report.page import Data, resource
 
-KINDS = ("static", "draw", "pillars", "study", "comparison", "blind", "catalogue", "index")
+KINDS = (
+    *("static", "draw", "pillars", "study", "comparison", "prediction", "still"),
+    *("blind", "catalogue", "index"),
+)
 
 
 @pytest.fixture(params=KINDS)

@@ -62,3 +62,5 @@ def test_grouped_columns_and_empty_columns():
     table.without_empty_columns()
     assert table.columns == ["name", "a: x", "b"]
     assert table.heads == [("", ["name"]), ("a", ["x"]), ("", ["b"])]
+    heads = [("", "name"), ("a", "x"), ("", "b")]
+    assert [table.has_numbers(*head) for head in heads] == [False, True, True]

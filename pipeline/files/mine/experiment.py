@@ -60,9 +60,10 @@ def describe_experiment(
         _neat(n * extent) for n, extent in zip((nx, ny, nz), grid.size, strict=True)
     )
     notes = [*blocks.notes, *grid.notes]
+    inside = math.prod(parts)
     notes.append(
         f"{int(grid.ground.sum())} ground blocks of {_sides(grid)} m in a box of {width:g} x "
-        f"{length:g} x {height:g} m, {math.prod(parts)} cells to a block"
+        f"{length:g} x {height:g} m, {inside} cell{'s' * (inside > 1)} to a block"
     )
     assumed = []
     geometry = {"width": width, "length": length, "height": height, "cell_size": cell}

@@ -123,7 +123,7 @@ def convert(path: str | Path, experiment: Experiment, calendar: Calendar | None)
         if cell and cell not in known:
             hint = (
                 did_you_mean(cell, known, "known load cells:")
-                or "; it declares none, leave it empty"
+                or "; it declares none: add load_cells to it, or leave this empty"
             )
             table.problems.append(
                 f"line {line}, load_cell = {shown(cell)}: not in {experiment.name}{hint}"

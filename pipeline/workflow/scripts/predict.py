@@ -40,6 +40,7 @@ with crew(execution, experiment.name):  # one session of a cluster for all level
         execution,
         Checkpoints(snakemake.params.checkpoints, code),
     )
+remarks = {"comment": " ".join(document["remarks"])} if document["remarks"] else {}
 write_dataset(
     snakemake.output.samples,
     dataset,
@@ -47,6 +48,6 @@ write_dataset(
     "predict",
     "Prediction with its uncertainty",
     [block_model],
-    attributes={"prediction": json.dumps(resolved(experiment.prediction))},
+    attributes={"prediction": json.dumps(resolved(experiment.prediction))} | remarks,
 )
 write_json(snakemake.output.numbers, document)
