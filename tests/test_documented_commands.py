@@ -78,6 +78,7 @@ PARSED = (  # by the command's own parser only: they need results, or idle minut
     "python -m pipeline.benchmark",
     "python -m pipeline.benchmark --quick",
     "python -m pipeline.benchmark --json",
+    "python -m pipeline.benchmark --workflow",
 )
 NOT_RUN = (  # other programs; nothing here can tell whether they are right
     "git clone URL block-cave-stress",

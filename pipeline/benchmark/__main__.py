@@ -23,6 +23,7 @@ from pipeline.benchmark.kernels import (
 )
 from pipeline.benchmark.replicates import memory_figures, replicates_figures, scaling_figures
 from pipeline.benchmark.table import as_table
+from pipeline.benchmark.workflow import workflow_figures
 
 TESTED = 37  # side of a lattice of 50 000 cells
 
@@ -41,6 +42,7 @@ class Sizes(NamedTuple):
     replicates: int = 400
 
 
+WORKFLOW_REPEATS = 2
 QUICK = Sizes((37, 100), (64, 100), 12, 60, 144, (46, 67, 100, 144), 5)
 FULL = Sizes((37, 100, 300), (64, 300), 12, 60, 215, (46, 67, 100, 144, 215, 300, 464), 7, 10_000)
 
@@ -62,11 +64,22 @@ def run_benchmark(sizes: Sizes) -> dict[str, Any]:
     memory, of_static = memory_figures(sizes.memory, min(repeats, 2))
     figures += memory
     figures += scaling_figures(sizes.scaling, min(repeats, 3), of_static, skipped)
+    lattices = sizes._asdict()
+    return _document(machine, figures, start, lattices=lattices, skipped=skipped)
+
+
+def run_workflow_benchmark(repeats: int) -> dict[str, Any]:
+    """The same of whole runs of the workflow."""
+    start = time.perf_counter()
+    machine = describe_machine()
+    return _document(machine, list(workflow_figures(repeats)), start, skipped=[])
+
+
+def _document(machine, figures: list[Figure], start: float, **more: Any) -> dict[str, Any]:
     return {
         "machine": machine,
-        "lattices": sizes._asdict(),
+        **more,
         "figures": [figure.document() for figure in figures],
-        "skipped": skipped,
         "seconds": time.perf_counter() - start,
     }
 
@@ -75,9 +88,16 @@ def main(arguments: list[str]) -> int:
     """The command line; always 0, since a missed target is a result."""
     parser = argparse.ArgumentParser(prog="python -m pipeline.benchmark", description=__doc__)
     parser.add_argument("--json", action="store_true", help="print data instead of a table")
-    parser.add_argument("--quick", action="store_true", help="small lattices, under a minute")
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--quick", action="store_true", help="small lattices, under a minute")
+    size.add_argument(
+        "--workflow", action="store_true", help="whole runs of the workflow instead; some minutes"
+    )
     asked = parser.parse_args(arguments)
-    document = run_benchmark(QUICK if asked.quick else FULL)
+    if asked.workflow:
+        document = run_workflow_benchmark(WORKFLOW_REPEATS)
+    else:
+        document = run_benchmark(QUICK if asked.quick else FULL)
     print(json.dumps(document, indent=2) if asked.json else as_table(document))
     return 0
 

@@ -23,8 +23,9 @@ def as_table(document: Mapping[str, Any]) -> str:
         scale_beside, unit_beside = _scaled(yardstick["unit"])
         quoted = "quoted" if yardstick["quoted"] else _range(yardstick, scale_beside)
         median = f"{scale_beside * yardstick['median']:.4g} {unit_beside}".rstrip()
+        on = filter(None, (_words(figure["sizes"]), figure["dtype"]))
         groups.append(
-            f"{_words(figure['sizes'])}, {figure['dtype']}, {figure['repeats']} repeats; "
+            f"{', '.join(on)}, {figure['repeats']} repeats; "
             f"yardstick: {yardstick['name']}, {median} ({quoted})"
         )
         targets = figure["targets"]
@@ -48,6 +49,8 @@ def as_table(document: Mapping[str, Any]) -> str:
 
 
 def _words(sizes: Mapping[str, Any]) -> str:
+    if not sizes["shapes"]:
+        return sizes["remark"]
     words = ", ".join(f"{cells:.3g}" for cells in sizes["cells"])
     if len(sizes["shapes"]) == 1:
         words = " × ".join(map(str, sizes["shapes"][0])) + f" = {sizes['cells'][0]}"
