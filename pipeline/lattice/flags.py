@@ -11,6 +11,13 @@ from numba import njit
 
 PLACES = 8  # of its own in each word
 
+in_place = njit(nogil=True, cache=True, _nrt=False)
+"""For kernels that are called for each cell and make no array.
+
+Elsewhere Numba counts references to each array that a call hands on, with an atomic instruction,
+which would cost as much as a small kernel's work. Without its runtime it counts none.
+"""
+
 
 def new_flags(shape):
     """Flags for a lattice of this shape (nz, ny, nx), none raised."""
@@ -38,7 +45,7 @@ def flags_around(flags, k, j, i):
     )
 
 
-@njit(nogil=True, cache=True)
+@in_place
 def set_flag(flags, k, j, i, raised):
     """Raise or lower the flag of a place."""
     group, place = i >> 3, i & 7

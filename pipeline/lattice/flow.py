@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 
 from pipeline.lattice.cells import AIR, MOVEMENT, OUTSIDE, STAGNANT, VOID
-from pipeline.lattice.flags import flags_around, has_flag, new_flags, set_flag
+from pipeline.lattice.flags import flags_around, has_flag, in_place, new_flags, set_flag
 from pipeline.lattice.grid import GRAVITY
 
 DRAWN_CELLS, LOOSENED_CELLS, PARKED_VOIDS, HANG_UPS, VOID_STEPS = range(5)
@@ -189,7 +189,57 @@ def draw_to(state, cell_weight, drawpoint, target_mass, chances, bulking, rng):
     Changes the arrays of ``state``. Returns the shortfall in kg: what is missing to the target
     when no granular cell is left in the opening, else 0. An empty opening stays empty.
     """
-    # kernels called for each cell get arrays: of a state, Numba counts references to each part
+    room = state.opening_offsets[drawpoint + 1] - state.opening_offsets[drawpoint]
+    available = np.empty(room, np.int64)
+    way = np.empty((len(state.code), 2), np.int32)
+    fresh = np.empty(len(state.code), np.bool_)
+    return _draw(
+        state, cell_weight, drawpoint, target_mass, chances, bulking, rng, available, way, fresh
+    )
+
+
+@njit(nogil=True, cache=True)
+def draw_visits(state, cell_weight, drawpoints, ends, missing, shortfall, chances, bulking, rng):
+    """`draw_to` for visits in turn; returns the mass in kg that drawpoints lacked so far.
+
+    ``drawpoints`` int64 and ``ends`` float64 (visit): where, and the scheduled mass at its end.
+    ``missing`` kg were lacking before, which nobody makes up for; what a drawpoint lacks now adds
+    to ``shortfall`` (drawpoint), kg.
+    """
+    for visit in range(len(drawpoints)):
+        drawpoint = drawpoints[visit]
+        target = ends[visit] - missing
+        short = draw_to(state, cell_weight, drawpoint, target, chances, bulking, rng)
+        shortfall[drawpoint] += short
+        missing += short
+    return missing
+
+
+@njit(nogil=True, cache=True)
+def zone_geometry(state, cell_size):
+    """Height and width of the connected movement zone of each drawpoint, two float64 (drawpoint).
+
+    In the unit of ``cell_size``. The height reaches from the base to the top of the highest
+    loosened level; the width is the largest x extent of one level. 0 where nothing is loosened.
+    """
+    drawpoints, nz = state.level_min_x.shape
+    height, width = np.zeros(drawpoints), np.zeros(drawpoints)
+    for root in range(drawpoints):
+        for k in range(nz):
+            least, most = state.zone.shape[2], -1
+            for label in range(drawpoints):
+                if state.zone_root[label] == root:
+                    least = min(least, state.level_min_x[label, k])
+                    most = max(most, state.level_max_x[label, k])
+            if most >= least:
+                height[root] = (k + 1) * cell_size
+                width[root] = max(width[root], (most - least + 1) * cell_size)
+    return height[state.zone_root], width[state.zone_root]
+
+
+@in_place
+def _draw(state, cell_weight, drawpoint, target_mass, chances, bulking, rng, available, way, fresh):
+    """`draw_to`; in the last three arrays it works: rows of the opening, and a void's way up."""
     code, cell_id, moved, counters = state.code, state.cell_id, state.moved, state.counters
     zone, zone_root = state.zone, state.zone_root
     min_x, max_x = state.level_min_x[drawpoint], state.level_max_x[drawpoint]
@@ -197,9 +247,6 @@ def draw_to(state, cell_weight, drawpoint, target_mass, chances, bulking, rng):
     opening = state.opening_cells
     first = state.opening_offsets[drawpoint]
     end = state.opening_offsets[drawpoint + 1]
-    available = np.empty(end - first, np.int64)
-    way = np.empty((len(code), 2), np.int32)
-    fresh = np.empty(len(code), np.bool_)
     drawn = counters[DRAWN_CELLS]
     mass = state.drawn_mass[drawn - 1] if drawn > 0 else 0.0
     while True:
@@ -248,46 +295,7 @@ def draw_to(state, cell_weight, drawpoint, target_mass, chances, bulking, rng):
             code[k, j, i] = VOID
 
 
-@njit(nogil=True, cache=True)
-def draw_visits(state, cell_weight, drawpoints, ends, missing, shortfall, chances, bulking, rng):
-    """`draw_to` for visits in turn; returns the mass in kg that drawpoints lacked so far.
-
-    ``drawpoints`` int64 and ``ends`` float64 (visit): where, and the scheduled mass at its end.
-    ``missing`` kg were lacking before, which nobody makes up for; what a drawpoint lacks now adds
-    to ``shortfall`` (drawpoint), kg.
-    """
-    for visit in range(len(drawpoints)):
-        drawpoint = drawpoints[visit]
-        target = ends[visit] - missing
-        short = draw_to(state, cell_weight, drawpoint, target, chances, bulking, rng)
-        shortfall[drawpoint] += short
-        missing += short
-    return missing
-
-
-@njit(nogil=True, cache=True)
-def zone_geometry(state, cell_size):
-    """Height and width of the connected movement zone of each drawpoint, two float64 (drawpoint).
-
-    In the unit of ``cell_size``. The height reaches from the base to the top of the highest
-    loosened level; the width is the largest x extent of one level. 0 where nothing is loosened.
-    """
-    drawpoints, nz = state.level_min_x.shape
-    height, width = np.zeros(drawpoints), np.zeros(drawpoints)
-    for root in range(drawpoints):
-        for k in range(nz):
-            least, most = state.zone.shape[2], -1
-            for label in range(drawpoints):
-                if state.zone_root[label] == root:
-                    least = min(least, state.level_min_x[label, k])
-                    most = max(most, state.level_max_x[label, k])
-            if most >= least:
-                height[root] = (k + 1) * cell_size
-                width[root] = max(width[root], (most - least + 1) * cell_size)
-    return height[state.zone_root], width[state.zone_root]
-
-
-@njit(nogil=True, cache=True)
+@in_place
 def _climb(k, way, fresh, granular, loosened, chances, bulking, rng):
     """Find the way up of a void from level ``k``, until it parks or nothing is left above it.
 
@@ -316,7 +324,7 @@ def _climb(k, way, fresh, granular, loosened, chances, bulking, rng):
     return steps, parks
 
 
-@njit(nogil=True, cache=True)
+@in_place
 def _sink(k, way, steps, cell_id, moved):
     """Move the cells on a void's way from level ``k`` one place down; the last place is empty."""
     _, ny, nx = cell_id.shape
@@ -330,18 +338,18 @@ def _sink(k, way, steps, cell_id, moved):
     cell_id[place] = -1
 
 
-@njit(nogil=True, cache=True)
+@in_place
 def _is_granular(cell):
     return (cell == STAGNANT) | (cell == MOVEMENT)
 
 
-@njit(nogil=True, cache=True)
+@in_place
 def _mass(weight):
     """kg of a cell that weighs so many N."""
     return np.float64(weight) / GRAVITY
 
 
-@njit(nogil=True, cache=True)
+@in_place
 def _reaches_surface(code, k, j, i):
     """Whether a void with no granular cell above is open: to air, or with no void above it."""
     nz, ny, nx = code.shape
@@ -356,7 +364,7 @@ def _reaches_surface(code, k, j, i):
     return no_void
 
 
-@njit(nogil=True, cache=True)
+@in_place
 def _loosen(
     k, way, fresh, steps, drawpoint, code, zone, zone_root, min_x, max_x, loosened, block_label
 ):
@@ -386,7 +394,7 @@ def _loosen(
     return count
 
 
-@njit(nogil=True, cache=True)
+@in_place
 def _other_zones_near(block_label, zone_root, k, j, i, drawpoint, shape):
     """Whether blocks that touch a place hold loosened places of other zones than a drawpoint's."""
     nz, ny, nx = shape
@@ -400,7 +408,7 @@ def _other_zones_near(block_label, zone_root, k, j, i, drawpoint, shape):
     return found
 
 
-@njit(nogil=True, cache=True)
+@in_place
 def _label_block(block_label, zone_root, k, j, i, label):
     """Enter a loosened place with this label into its block."""
     z, y, x = k // BLOCK, j // BLOCK, i // BLOCK
@@ -411,7 +419,7 @@ def _label_block(block_label, zone_root, k, j, i, label):
         block_label[z, y, x] = SEVERAL
 
 
-@njit(nogil=True, cache=True)
+@in_place
 def _unite(zone_root, label, other):
     """Give the labels of two zones one root, the lower of their two; roots stay flat."""
     low = min(zone_root[label], zone_root[other])
