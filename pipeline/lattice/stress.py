@@ -238,14 +238,22 @@ def _sweep(
                 for x in range(nx):
                     own = scale * np.float64(level_weight[y, x])
                     total_weight += own
-                    level = down[y + 1, x + 1] + (
-                        right * sides[y + 1, x] + left * sides[y + 1, x + 2]
-                    )
-                    before = sides[y, x + 1] + (right * corners[y, x] + left * corners[y, x + 2])
-                    after = sides[y + 2, x + 1] + (
-                        right * corners[y + 2, x] + left * corners[y + 2, x + 2]
-                    )
-                    received = level + (upper * before + lower * after)
+                    if leaning:  # apart: a third to four fifths faster without its factors
+                        level = down[y + 1, x + 1] + (
+                            right * sides[y + 1, x] + left * sides[y + 1, x + 2]
+                        )
+                        before = sides[y, x + 1] + (
+                            right * corners[y, x] + left * corners[y, x + 2]
+                        )
+                        after = sides[y + 2, x + 1] + (
+                            right * corners[y + 2, x] + left * corners[y + 2, x + 2]
+                        )
+                        received = level + (upper * before + lower * after)
+                    else:
+                        level = down[y + 1, x + 1] + (sides[y + 1, x] + sides[y + 1, x + 2])
+                        before = sides[y, x + 1] + (corners[y, x] + corners[y, x + 2])
+                        after = sides[y + 2, x + 1] + (corners[y + 2, x] + corners[y + 2, x + 2])
+                        received = level + (before + after)
                     carried[y, x] = own + receptivity[y + 1, x + 1] * received + straight[y, x]
             if shares_excess:
                 shed -= _share_excess(code[k], coupling.zone_root[k], excess, carried)
@@ -281,18 +289,32 @@ def _sweep(
                         excess[coupling.zone_root[k, y, x]] += (
                             coupling.transfer * max(beyond, 0.0) * carried[y, x]
                         )
-                    beside = (
-                        lower * receptivity[y, x + 1]
-                        + left * receptivity[y + 1, x]
-                        + right * receptivity[y + 1, x + 2]
-                        + upper * receptivity[y + 2, x + 1]
-                    )
-                    diagonal = (
-                        lower * left * receptivity[y, x]
-                        + lower * right * receptivity[y, x + 2]
-                        + upper * left * receptivity[y + 2, x]
-                        + upper * right * receptivity[y + 2, x + 2]
-                    )
+                    if leaning:
+                        beside = (
+                            lower * receptivity[y, x + 1]
+                            + left * receptivity[y + 1, x]
+                            + right * receptivity[y + 1, x + 2]
+                            + upper * receptivity[y + 2, x + 1]
+                        )
+                        diagonal = (
+                            lower * left * receptivity[y, x]
+                            + lower * right * receptivity[y, x + 2]
+                            + upper * left * receptivity[y + 2, x]
+                            + upper * right * receptivity[y + 2, x + 2]
+                        )
+                    else:
+                        beside = (
+                            receptivity[y, x + 1]
+                            + receptivity[y + 1, x]
+                            + receptivity[y + 1, x + 2]
+                            + receptivity[y + 2, x + 1]
+                        )
+                        diagonal = (
+                            receptivity[y, x]
+                            + receptivity[y, x + 2]
+                            + receptivity[y + 2, x]
+                            + receptivity[y + 2, x + 2]
+                        )
                     w_down = np.float64(coupling.straight[k, y, x]) if straight_share else 1.0
                     if by_rank:
                         rank = ranked.rank[k, y, x]
