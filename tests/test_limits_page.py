@@ -122,8 +122,8 @@ def test_the_benchmark_s_figures_are_those_of_its_page():
         ),
         ("the same by a measurement chosen at random", "one at random {} %"),
     ):
-        figure = re.search(r"\| ([\d.]+) %", row(benchmark, quantity))[1]
-        assert words.format(f"{float(figure):.0f}") in part
+        count, of = map(int, re.search(r"\((\d+) of (\d+);", row(benchmark, "", quantity)).groups())
+        assert words.format(f"{100 * count / of:.0f}") in part
     missed = len(re.findall(r"\*\*missed", benchmark))
     words = "zero one two three four five six seven eight nine ten"
     counts = words.split()
