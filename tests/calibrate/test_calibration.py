@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
+from pipeline.benchmark.workflow import TESTS
 from pipeline.calibrate.calibration import SCALES, Z90, calibrate
 from pipeline.config.load import check_measured
 from pipeline.config.measured import MeasuredRow
@@ -17,16 +18,6 @@ from pipeline.observe import row_covariance, simulated_rows
 from pipeline.parameters import Parameters, declared_parameters
 from pipeline.simulate import make_setup
 
-STATIC = (
-    "castro_2006",
-    "orellana_2012",
-    "castro_2020",
-    *(
-        f"seditest_{material}_{wall}"
-        for material in ("gravel", "glass")
-        for wall in ("paperboard", "fine_sandpaper", "coarse_sandpaper")
-    ),
-)
 FAR_STARTS = [
     ("castro_2006", 0.999999, 0.01),
     ("castro_2006", 0.001, 900.0),
@@ -75,7 +66,7 @@ def calibrated(published):
 # Tests 1-9
 
 
-@pytest.mark.parametrize("name", STATIC)
+@pytest.mark.parametrize("name", TESTS)
 def test_measured_means_and_scatter_are_met_on_fresh_streams(calibrated, name):
     experiment, rows, calibration = calibrated(name)
     used = Parameters.from_document(calibration["parameters_used"])
