@@ -48,8 +48,7 @@ DRY_RUN = (  # with --dry-run only: these take minutes to hours, or make what ot
     "make test",
     'make TARGETS="results/experiments/castro_2020/report.html"',
     "snakemake --cores all --config experiments_dir=DIR results_dir=DIR2",
-    "snakemake --cores all blind_benchmark --config blind_worlds=400 blind_hard_nulls=60 "
-    "blind_attacks=4",
+    "snakemake --cores all blind_benchmark --config blind_worlds=200",
     "snakemake --cores all --config dask_scheduler=tcp://HOST:8786",
     "snakemake --profile workflow_configs/profiles/slurm --workflow-profile none",
     "snakemake --cores all results/comparisons/mine_strategies/report.html",
@@ -83,7 +82,7 @@ PARSED = (  # by the command's own parser only: they need results, or idle minut
 NOT_RUN = (  # other programs; nothing here can tell whether they are right
     "git clone URL block-cave-stress",
     "cd block-cave-stress",
-    "git checkout 17312e1f7b0b",
+    "git checkout ed9878044327",
     "dask scheduler",
     "dask worker tcp://HOST:8786 --nthreads 1 --nworkers 16",
     'pip install -e ".[slurm]"',
@@ -93,7 +92,7 @@ NOT_RUN = (  # other programs; nothing here can tell whether they are right
 )
 STANDS_FOR = {  # what a word of a command is here
     "comparisons_dir=DIR2": "comparisons_dir=DIR4",  # DIR2 holds studies
-    "blind_worlds=400": "blind_worlds=400 blind_seed=1",  # a copy has no commit to take it from
+    "blind_worlds=200": "blind_worlds=200 blind_seed=1",  # a copy has no commit to take it from
 }
 
 
