@@ -11,7 +11,8 @@ import xarray as xr
 
 from pipeline.config.experiment import Experiment
 from pipeline.config.measured import MeasuredRow
-from pipeline.simulate import Readings, Setup, load_cells, sensed
+from pipeline.simulate.readings import Readings, sensed
+from pipeline.simulate.setup import Setup, load_cells
 
 STRESS = ("vertical_stress", "vertical_stress_ratio")
 SPREAD = ("vertical_stress_spatial_std",)

@@ -30,7 +30,9 @@ from pipeline.montecarlo.parts import stack
 from pipeline.montecarlo.replicates import replicates_dataset
 from pipeline.montecarlo.streams import replicate_streams
 from pipeline.parameters import Parameters, declared_parameters
-from pipeline.simulate import FlowRecord, Snapshot, make_setup, record_flow, simulate
+from pipeline.simulate.flow import FlowRecord, Snapshot
+from pipeline.simulate.replicate import record_flow, simulate
+from pipeline.simulate.setup import make_setup
 
 STAGES = (
     "block model",

@@ -6,7 +6,8 @@ import pytest
 from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.parameters import carry_transmission, declared_parameters
-from pipeline.simulate import make_setup, simulate, visits
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import make_setup, visits
 
 
 def run(experiment, replicate=0, parameters=None):

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from pipeline.effects import Active
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup, record_flow, simulate
+from pipeline.simulate.replicate import record_flow, simulate
+from pipeline.simulate.setup import make_setup
 
 EFFECTS = (
     (),

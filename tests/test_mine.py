@@ -9,7 +9,8 @@ import pytest
 from pipeline.config.load import load_experiments
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.parameters import Parameters, carry_transmission, declared_parameters
-from pipeline.simulate import make_setup, simulate, visits
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import make_setup, visits
 
 NAMES = ("mine_panel", "mine_block")
 LABORATORY = Parameters(cell_size=0.1, E=0.9955, s_mean=8.0, s_std=7.0)

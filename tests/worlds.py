@@ -24,7 +24,8 @@ from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.montecarlo.workers import Execution
 from pipeline.observe import RowReader
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup, simulate
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import make_setup
 
 NOISE = 0.02  # of a reading
 WALLED = {  # columns of one material: width in m and wall friction angle in degrees

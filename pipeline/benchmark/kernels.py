@@ -37,11 +37,12 @@ from pipeline.lattice.flow import (
     new_flow_state,
 )
 from pipeline.lattice.grid import GRAVITY
-from pipeline.lattice.spreading import draw_ranks, rank_normals, spreading_weights
+from pipeline.lattice.ranks import draw_ranks, rank_normals
+from pipeline.lattice.spreading import spreading_weights
 from pipeline.lattice.stress import AT_HOME, BY_CELL, UNCOUPLED, Ranked, stress_sweep
 from pipeline.lattice.stress_reference import stress_sweep_reference
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import Setup, make_setup
+from pipeline.simulate.setup import Setup, make_setup
 
 READS = 100_000
 MINE = 27_000_000  # cells from which the targets of a mine's lattice hold

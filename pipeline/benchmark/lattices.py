@@ -10,7 +10,8 @@ from pipeline.benchmark.figures import Action
 from pipeline.benchmark.yardsticks import triad
 from pipeline.config.experiment import Experiment
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import Setup, simulate
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import Setup
 
 CELL_SIZE, BULK_DENSITY = 1.0, 1600.0  # m, kg m-3
 EXPONENT, BULKING = 3.0, 0.15

@@ -21,7 +21,7 @@ from pipeline.montecarlo.parts import Collected
 from pipeline.montecarlo.replicates import Run, run_part
 from pipeline.montecarlo.workers import Crew, Execution, crew
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 
 HUGE = 99_000_000  # cells from which the targets of the largest lattices hold
 MANY = 10_000  # replicates that targets are for

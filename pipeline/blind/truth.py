@@ -18,7 +18,8 @@ from pipeline.blind.outside import OUTSIDE, Injected
 from pipeline.config.experiment import Experiment
 from pipeline.effects import Active, Reading, effects
 from pipeline.parameters import Parameters, declared_parameters
-from pipeline.simulate import Setup, load_cells, make_setup, simulate
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import Setup, load_cells, make_setup
 
 SHRINKAGE = 0.2  # of the replicate covariance to its diagonal
 SENSORS = ("sensor_gain", "sensor_offset", "sensor_drift")

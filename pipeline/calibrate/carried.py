@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pipeline.config.experiment import Experiment
-from pipeline.lattice.stress import closed_form_stress
+from pipeline.lattice.closed_form import closed_form_stress
 from pipeline.parameters import Parameters
 
 SATURATED = 3.0  # attenuation lengths below which a column's stress hardly grows: 1 - e^-3 = 95 %

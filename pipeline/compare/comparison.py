@@ -16,7 +16,7 @@ from pipeline.config.experiment import Experiment
 from pipeline.config.load import digest
 from pipeline.files.units import KPA_IN_MPA
 from pipeline.montecarlo.statistics import SUMMARY, stress_percentiles
-from pipeline.simulate import load_cells
+from pipeline.simulate.setup import load_cells
 
 PEAK_WITHIN = 1e-3  # a stress that stays the same but for this has its peak when it began
 SIDES = ("first", "second")

@@ -52,7 +52,11 @@ class Strict(BaseModel):
     """A frozen model without unknown keys; ``checks`` are its conditions across keys."""
 
     model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+        defer_build=True,
     )
     checks: ClassVar[tuple[Callable[..., Iterator[Found]], ...]] = ()
 

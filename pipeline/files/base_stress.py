@@ -15,7 +15,7 @@ from pipeline.files.tables import as_csv
 from pipeline.files.units import KG_IN_T, KPA_IN_MPA
 from pipeline.lattice.block_model import STATE_OUTSIDE, corner_of, lattice_of
 from pipeline.montecarlo.statistics import PERCENTILES, stress_percentiles
-from pipeline.simulate import load_cells
+from pipeline.simulate.setup import load_cells
 
 NEEDED = ("block_model", "replicates", "fields")
 _STATISTICS = ("mean", "std", *(f"p{p}" for p in PERCENTILES))

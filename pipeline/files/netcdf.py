@@ -51,7 +51,8 @@ VARIANTS = {  # suffix of readings of the same replicates with other parameters:
 @cache
 def variable_table() -> dict[str, dict[str, Any]]:
     """Metadata of each variable by name, from `variables.yaml`."""
-    return yaml.safe_load(files(__package__).joinpath("variables.yaml").read_text("utf-8"))
+    text = files(__package__).joinpath("variables.yaml").read_text("utf-8")
+    return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # seven times as fast
 
 
 def describe(name: str, statistics: bool = False) -> dict[str, Any]:

@@ -199,7 +199,9 @@ def _influence(
         for n in range(count):
             below = shared[n]
             if k == 0:
-                of_load[n] = readings[n]
+                for y in range(ny):
+                    for x in range(nx):
+                        of_load[n, y, x] = readings[n, y, x]
             else:
                 for y in range(ny):
                     for x in range(nx):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
+from pipeline.loop import SURE
 from pipeline.loop.covariance import Noise
 from pipeline.loop.data import Data
 from pipeline.loop.fit import Fit, fit
@@ -21,7 +22,6 @@ WORTH = 7.0  # difference of log posterior from the best beyond which none is re
 # width in its scale τ and share of the normal priors that an amplitude's prior is a mix of: many τ
 # are then less likely than one by a power, not by an exponential
 WIDTHS = {1.0: 1 / 2, 2.0: 1 / 4, 4.0: 1 / 8, 8.0: 1 / 16, 16.0: 1 / 16}
-SURE = 0.9  # posterior from which one name stands for all
 
 
 @dataclass(frozen=True)

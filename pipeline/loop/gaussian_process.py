@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 from pipeline.loop.covariance import Noise
 from pipeline.loop.data import Data
 from pipeline.loop.model import Model
-from pipeline.simulate import load_cells
+from pipeline.simulate.setup import load_cells
 
 SCALES = (-3.0, 2.0)  # bounds of the logarithms of length scales; features have unit range
 AMPLITUDES = (-5.0, 1.0)  # and of the discrepancy's sd

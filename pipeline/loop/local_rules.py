@@ -16,7 +16,7 @@ from pipeline.loop.model import Model, Point
 from pipeline.montecarlo.streams import LOOP_PACKING
 from pipeline.montecarlo.workers import run_tasks
 from pipeline.sensitivity.footprints import row_gradients
-from pipeline.simulate import Sweep
+from pipeline.simulate.sweeps import Sweep
 
 REPLICATES = 4
 

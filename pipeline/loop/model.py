@@ -22,7 +22,9 @@ from pipeline.montecarlo.streams import LOOP_FLOW, LOOP_PACKING, random_stream
 from pipeline.montecarlo.workers import Execution, run_tasks
 from pipeline.observe import GEOMETRY, RowReader, only_measured
 from pipeline.parameters import Parameters, carry_transmission, declared_parameters
-from pipeline.simulate import FlowRecord, Setup, make_setup, record_flow, simulate
+from pipeline.simulate.flow import FlowRecord
+from pipeline.simulate.replicate import record_flow, simulate
+from pipeline.simulate.setup import Setup, make_setup
 
 CRN, FEW = 4, 2  # common random replicates of an evaluation; where packings do not differ
 SCATTER, OTHERS = 90, 54  # replicates that the covariance is made of, and others for null laws

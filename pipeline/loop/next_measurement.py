@@ -13,7 +13,8 @@ from scipy.special import logsumexp, ndtr
 
 from pipeline.config.experiment import LoadCell
 from pipeline.config.measured import MeasuredRow
-from pipeline.loop.attribution import SURE, Attribution
+from pipeline.loop import SURE
+from pipeline.loop.attribution import Attribution
 from pipeline.loop.data import Data
 from pipeline.loop.fit import box
 from pipeline.loop.hypotheses import Hypothesis, terms_of

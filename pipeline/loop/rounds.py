@@ -11,7 +11,8 @@ import numpy as np
 from scipy.special import expit
 
 from pipeline.config.study import Study
-from pipeline.loop.attribution import SURE, Attribution, Evidence, attribute
+from pipeline.loop import SURE
+from pipeline.loop.attribution import Attribution, Evidence, attribute
 from pipeline.loop.covariance import Noise, restricted_likelihood_factors
 from pipeline.loop.data import Data
 from pipeline.loop.fit import Fit, calibrated, fit, posterior_covariance

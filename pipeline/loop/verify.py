@@ -19,7 +19,7 @@ from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.workers import Execution
 from pipeline.observe import only_measured, simulated_rows
 from pipeline.parameters import Parameters, declared_parameters
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 
 
 def improved_runs(

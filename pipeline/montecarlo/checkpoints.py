@@ -25,7 +25,7 @@ from pipeline.config.load import digest
 from pipeline.files.atomic import whole_file
 from pipeline.montecarlo.fields import FieldSums
 from pipeline.montecarlo.parts import Part
-from pipeline.simulate import Setup
+from pipeline.simulate.setup import Setup
 
 WRITING = 1e8  # bytes a second; what is computed sooner than written is not kept
 NAME = re.compile(r"([0-9a-f]{16})_(\d+)-(\d+)\.npz")

@@ -18,7 +18,8 @@ from numba import njit
 
 from pipeline.lattice.cells import MOVEMENT, OUTSIDE, STAGNANT
 from pipeline.lattice.grid import GRAVITY
-from pipeline.simulate import KPA, Setup
+from pipeline.simulate.readings import KPA
+from pipeline.simulate.setup import Setup
 
 STRESS_UNIT, SQUARE_UNIT = 2.0**-40, 2.0**-36  # of the overburden and of its square
 DENSITY_UNIT = 2.0**-8  # kg m-3

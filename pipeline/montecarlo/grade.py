@@ -11,7 +11,7 @@ import xarray as xr
 
 from pipeline.config.experiment import Experiment
 from pipeline.montecarlo.statistics import PERCENTILES
-from pipeline.simulate import visits
+from pipeline.simulate.setup import visits
 
 ALL = "all drawpoints"  # has a blank, which the name of a drawpoint cannot have
 BINS = 20

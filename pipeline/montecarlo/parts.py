@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.montecarlo.fields import FieldSums
-from pipeline.simulate import Readings
+from pipeline.simulate.readings import Readings
 
 DIMS = {  # of a Readings attribute, after `replicate`
     "vertical_stress": ("time", "load_cell"),

@@ -21,7 +21,8 @@ from pipeline.montecarlo.progress import Progress
 from pipeline.montecarlo.streams import FLOW, PACKING, replicate_streams
 from pipeline.montecarlo.workers import Crew, Execution, crew, pieces
 from pipeline.parameters import Parameters
-from pipeline.simulate import Setup, load_cells, simulate
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import Setup, load_cells
 
 log = logging.getLogger(__name__)
 

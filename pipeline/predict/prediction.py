@@ -33,7 +33,7 @@ from pipeline.montecarlo.workers import Execution
 from pipeline.observe import simulated_rows
 from pipeline.parameters import FIELDS, Parameters
 from pipeline.predict.knowledge import AMPLITUDE, Knowledge, Point
-from pipeline.simulate import Setup, make_setup
+from pipeline.simulate.setup import Setup, make_setup
 
 PACKING, CALIBRATION, EFFECT, INTERACTION = "packing", "calibration", "effect", "interaction"
 SOURCES = (PACKING, CALIBRATION, EFFECT, INTERACTION)

@@ -12,7 +12,7 @@ from pipeline.report.page import Data, Figure, Table, decimals_of, parts
 from pipeline.report.plan_figures import MOST_MAPS, areas_of, evenly, plan
 from pipeline.report.results import Results
 from pipeline.report.stress_figures import measured_points
-from pipeline.simulate import visits
+from pipeline.simulate.setup import visits
 
 RATIO = "σᵥ / σᵥ₀ (–)"
 SECTIONS = 4  # readings shown as sections, the first and the last among them

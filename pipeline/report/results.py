@@ -21,7 +21,7 @@ from pipeline.lattice.grid import Lattice
 from pipeline.parameters import Parameters
 from pipeline.report.page import Badge
 from pipeline.report.plan_figures import evenly, mass_unit
-from pipeline.simulate import load_cells
+from pipeline.simulate.setup import load_cells
 from pipeline.validate.validation import CALIBRATED
 
 ASSUMED = Badge("assumed", "warn")

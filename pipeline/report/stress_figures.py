@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.files.netcdf import AS_DECLARED
+from pipeline.lattice.closed_form import closed_form_stress
 from pipeline.lattice.grid import GRAVITY
 from pipeline.lattice.spreading import spreading_weights
-from pipeline.lattice.stress import closed_form_stress
 from pipeline.report.figures import (
     BLUE,
     GREEN,
@@ -21,8 +21,8 @@ from pipeline.report.figures import (
 )
 from pipeline.report.page import Data, Figure, parts
 from pipeline.report.results import Results
-from pipeline.sensitivity.footprints import FOOTPRINT_REPLICATES
-from pipeline.simulate import KPA
+from pipeline.sensitivity import FOOTPRINT_REPLICATES
+from pipeline.simulate.readings import KPA
 
 STRESS = "vertical stress (kPa)"
 

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from pipeline.config.study import Study
 from pipeline.files.atomic import read_json, write_text
-from pipeline.loop.attribution import SURE
+from pipeline.loop import SURE
 from pipeline.report.figures import panel_style
 from pipeline.report.page import Data, Link, Table, parts, render
 from pipeline.report.study_errors import (

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from pipeline.loop.attribution import SURE
+from pipeline.loop import SURE
 from pipeline.report.figures import BLUE, GREEN, INK, MARKERS, MUTED, ORANGE, PURPLE, Panel
 from pipeline.report.page import Data, Figure, decimals_of, parts
 from pipeline.report.results import THRESHOLD_SD, quantity_words

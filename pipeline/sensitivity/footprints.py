@@ -17,10 +17,14 @@ from pipeline.lattice.stress import stress_sweep
 from pipeline.montecarlo.streams import replicate_streams
 from pipeline.observe import SPREAD, STRESS, reading_index
 from pipeline.parameters import Parameters
-from pipeline.simulate import KPA, FlowRecord, Setup, Sweep, load_cells, simulate
+from pipeline.sensitivity import FOOTPRINT_REPLICATES
+from pipeline.simulate.flow import FlowRecord
+from pipeline.simulate.readings import KPA
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import Setup, load_cells
+from pipeline.simulate.sweeps import Sweep
 
 COST_REPEATS = 20
-FOOTPRINT_REPLICATES = 8
 GROUP_CELLS = 2e7  # places times load cells whose influence is held at a time
 
 # called with (sweep, its lattice, influence of the readings at a time); returns the derivatives

@@ -14,7 +14,7 @@ from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import Setup, make_setup
+from pipeline.simulate.setup import Setup, make_setup
 
 REPLICATES = 10
 GROUND: dict[str, Any] = {

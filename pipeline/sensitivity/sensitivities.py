@@ -26,7 +26,8 @@ from pipeline.montecarlo.workers import Execution, run_tasks
 from pipeline.observe import GEOMETRY, simulated_rows
 from pipeline.parameters import Parameters
 from pipeline.sensitivity.footprints import row_gradients
-from pipeline.simulate import Setup, Sweep, make_setup
+from pipeline.simulate.setup import Setup, make_setup
+from pipeline.simulate.sweeps import Sweep
 
 ADJOINT, DIFFERENCE, ABSENT = "adjoint", "difference", "absent"
 DENSITY = "density_misdeclared.factor"

@@ -11,13 +11,8 @@ import numpy as np
 
 from pipeline.effects import Packing, State, apply
 from pipeline.lattice.cells import STAGNANT
-from pipeline.lattice.spreading import (
-    count_below,
-    draw_ranks,
-    rank_normals,
-    redraw_ranks,
-    spreading_weights,
-)
+from pipeline.lattice.ranks import count_below, draw_ranks, rank_normals, redraw_ranks
+from pipeline.lattice.spreading import spreading_weights
 from pipeline.lattice.stress import (
     BY_CELL,
     UNCOUPLED,
@@ -29,8 +24,8 @@ from pipeline.lattice.stress import (
 )
 from pipeline.parameters import Parameters
 from pipeline.simulate.flow import Snapshot
-from pipeline.simulate.readings import Recorder
 from pipeline.simulate.setup import Setup
+from pipeline.simulate.sweeps import Recorder
 
 BLOCK = 2**16  # cells that are made at a time: they stay in cache
 

@@ -10,13 +10,13 @@ from pipeline.benchmark.workflow import TESTS
 from pipeline.calibrate.calibration import SCALES, Z90, calibrate
 from pipeline.config.load import check_measured
 from pipeline.config.measured import MeasuredRow
+from pipeline.lattice.closed_form import closed_form_stress
 from pipeline.lattice.grid import GRAVITY
-from pipeline.lattice.stress import closed_form_stress
 from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING
 from pipeline.observe import row_covariance, simulated_rows
 from pipeline.parameters import Parameters, declared_parameters
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 
 FAR_STARTS = [
     ("castro_2006", 0.999999, 0.01),

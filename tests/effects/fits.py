@@ -16,7 +16,8 @@ from pipeline.montecarlo.replicates import replicates_dataset
 from pipeline.montecarlo.streams import CALIBRATION_FLOW, CALIBRATION_PACKING, replicate_streams
 from pipeline.observe import STRESS, simulated_rows
 from pipeline.parameters import Parameters, declared_parameters
-from pipeline.simulate import make_setup, simulate
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import make_setup
 
 FOLDER = Path(__file__).parents[2] / "workflow_configs" / "experiments"
 

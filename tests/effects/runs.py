@@ -8,7 +8,9 @@ from pipeline.config.experiment import Experiment
 from pipeline.effects import Active, effects
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import Readings, load_cells, make_setup, simulate
+from pipeline.simulate.readings import Readings
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import load_cells, make_setup
 
 GROUND = {
     "material": {

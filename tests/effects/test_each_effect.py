@@ -13,8 +13,9 @@ from pipeline.effects.pillar_relaxation import relax as relax_beside_pillars
 from pipeline.effects.tilt import OFFSETS, RING
 from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import MOVEMENT, OUTSIDE, STAGNANT, VOID
+from pipeline.lattice.closed_form import closed_form_stress
 from pipeline.lattice.grid import GRAVITY, make_lattice
-from pipeline.lattice.stress import UNCOUPLED, closed_form_stress
+from pipeline.lattice.stress import UNCOUPLED
 
 E, C, DENSITY = 0.9, 0.1, 1600  # of the filling of `runs`: 0.5 × 0.4 m, read at 0.35, 0.7, 1 m
 DEPTHS = np.array([3.5, 7.0, 10.0])  # in cells

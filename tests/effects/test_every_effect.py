@@ -9,7 +9,7 @@ import pytest
 from runs import assert_same, block, example, run
 
 from pipeline.effects import Active, Reading, declared_effects, effects
-from pipeline.simulate import load_cells
+from pipeline.simulate.setup import load_cells
 
 ALL = sorted(effects())
 STAGES = ("geometry", "packing", "state", "readings")

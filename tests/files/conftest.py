@@ -9,7 +9,7 @@ from pipeline.montecarlo.grade import grade_curves
 from pipeline.montecarlo.replicates import run_experiment
 from pipeline.montecarlo.statistics import replicate_statistics
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 
 KINDS = ("static", "draw")
 REGIONS = [

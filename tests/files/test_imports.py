@@ -15,7 +15,7 @@ from pipeline.files.netcdf import read_dataset, write_dataset
 from pipeline.lattice.block_model import build_block_model, lattice_of
 from pipeline.montecarlo.replicates import run_experiment
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup, visits
+from pipeline.simulate.setup import make_setup, visits
 
 FILES = Path(__file__).parent / "mine_files"
 

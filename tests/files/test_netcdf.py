@@ -21,7 +21,7 @@ from pipeline.files.netcdf import (
 from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.statistics import replicate_statistics
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 
 pytestmark = pytest.mark.filterwarnings("ignore:The ioos_sos checker:DeprecationWarning")
 

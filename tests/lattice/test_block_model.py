@@ -10,7 +10,7 @@ from pipeline.config.messages import ConfigError
 from pipeline.lattice.block_model import build_block_model, cell_codes, ground_mask, lattice_of
 from pipeline.lattice.cells import OUTSIDE, STAGNANT
 from pipeline.lattice.grid import make_lattice
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,8 @@ from pipeline.files.netcdf import read_dataset, write_dataset
 from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.streams import PACKING, random_stream
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup, simulate
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import make_setup
 
 CU, NONE = {"Cu": {"value": 0.9, "unit": "%"}}, {"Cu": {"value": 0, "unit": "%"}}
 WHOLE = {"z": [0, 1.0]}

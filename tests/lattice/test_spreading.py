@@ -8,18 +8,13 @@ from scipy import stats
 
 from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import STAGNANT, VOID
-from pipeline.lattice.spreading import (
-    RANKS,
-    count_below,
-    draw_ranks,
-    rank_normals,
-    redraw_ranks,
-    spreading_weights,
-)
+from pipeline.lattice.ranks import RANKS, count_below, draw_ranks, rank_normals, redraw_ranks
+from pipeline.lattice.spreading import spreading_weights
 from pipeline.lattice.stress import stress_sweep
 from pipeline.montecarlo.streams import PACKING, random_stream
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup, simulate
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import make_setup
 
 KEYS = st.integers(0, 2**32 - 1)
 

@@ -11,13 +11,17 @@ from strategies import lattice_states, sweep, uniform_state
 
 from pipeline.lattice.block_model import build_block_model
 from pipeline.lattice.cells import AIR, MOVEMENT, OUTSIDE, STAGNANT, VOID
+from pipeline.lattice.closed_form import closed_form_stress
 from pipeline.lattice.grid import GRAVITY, levels_of
-from pipeline.lattice.spreading import RANKS, RULES, S_LIMIT, draw_ranks, spreading_weights
-from pipeline.lattice.stress import Moved, Ranked, closed_form_stress, place_cells
+from pipeline.lattice.ranks import RANKS, draw_ranks
+from pipeline.lattice.spreading import RULES, S_LIMIT, spreading_weights
+from pipeline.lattice.stress import Moved, Ranked, place_cells
 from pipeline.lattice.stress_reference import stress_sweep_reference
 from pipeline.montecarlo.streams import PACKING, random_stream
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import WeightBalanceError, make_setup, simulate
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import make_setup
+from pipeline.simulate.sweeps import WeightBalanceError
 
 DISTANCES = np.sqrt([1.0, 2.0, 2.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0])
 RELAXATIONS = st.sampled_from([0.0, 0.29]) | st.floats(0.0, 1.0)
@@ -282,7 +286,7 @@ def test_a_lost_load_stops_the_run(column, monkeypatch):
         base_load[:] = 1.0
         return 2.0 * base_load.sum(), 0.0
 
-    monkeypatch.setattr("pipeline.simulate.readings.stress_sweep", leaky)
+    monkeypatch.setattr("pipeline.simulate.sweeps.stress_sweep", leaky)
     with pytest.raises(WeightBalanceError, match=r"column: weight balance is off by 0\.5"):
         simulate(setup, declared_parameters(experiment), random_stream(1, "column", PACKING, 0))
 

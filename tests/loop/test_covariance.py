@@ -18,7 +18,7 @@ from pipeline.loop.covariance import (
 from pipeline.loop.model import OTHERS, SCATTER
 from pipeline.montecarlo.streams import LOOP_FLOW, LOOP_PACKING
 from pipeline.observe import RowReader
-from pipeline.simulate import simulate
+from pipeline.simulate.replicate import simulate
 
 # ---------------------------------------------------------------------------------------------
 # as simulated and declared

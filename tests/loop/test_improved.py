@@ -16,7 +16,8 @@ from pipeline.loop.model import Point, Term
 from pipeline.montecarlo.streams import LOOP_FLOW, LOOP_PACKING
 from pipeline.observe import RowReader, only_measured
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup, simulate
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import make_setup
 
 BOTH = (0, 1)
 TERMS = {

@@ -6,7 +6,7 @@ import pytest
 from pipeline.montecarlo.replicates import run_experiment
 from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 
 
 @pytest.fixture(scope="session")

@@ -14,7 +14,7 @@ from pipeline.montecarlo.checkpoints import Checkpoints
 from pipeline.montecarlo.parts import Collected
 from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 
 COUNT = 10
 CHANGES = {

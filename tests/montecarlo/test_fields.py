@@ -15,7 +15,8 @@ from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.streams import FLOW, PACKING, random_stream
 from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup, simulate
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import make_setup
 
 SUMS = ("stress", "square", "granular", "movement", "void", "density")
 COUNT = 7

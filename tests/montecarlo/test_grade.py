@@ -15,7 +15,7 @@ from pipeline.lattice.block_model import build_block_model
 from pipeline.montecarlo.grade import ALL, BINS, drawn_in_bins, grade_curves, scheduled_masses
 from pipeline.montecarlo.replicates import run_experiment
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 
 CELLS, POINTS = 40, 3
 POINT = [

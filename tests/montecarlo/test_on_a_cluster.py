@@ -9,7 +9,7 @@ from clusters import Counted, break_at_three, dask_cluster, kill, slowly
 from pipeline.montecarlo import workers
 from pipeline.montecarlo.progress import Progress
 from pipeline.montecarlo.workers import Execution, WorkersLostError, crew
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 
 pytestmark = pytest.mark.workflow
 

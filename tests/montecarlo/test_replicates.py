@@ -7,7 +7,7 @@ from pipeline.montecarlo import replicates, workers
 from pipeline.montecarlo.replicates import run_experiment, run_replicates
 from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup, visits
+from pipeline.simulate.setup import make_setup, visits
 
 
 @pytest.mark.parametrize("chunk", [1, 3, 8, 100, None])

@@ -7,7 +7,7 @@ from pipeline.config.experiment import StopAt
 from pipeline.montecarlo import checkpoints
 from pipeline.montecarlo.checkpoints import Checkpoints
 from pipeline.montecarlo.workers import Execution
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 
 CELLS = [{"name": "C", "x": 0.25, "y": 0.2, "width": 0.1, "length": 0.1}]
 MOST = 100

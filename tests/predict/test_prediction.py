@@ -19,7 +19,8 @@ from pipeline.observe import simulated_rows
 from pipeline.parameters import declared_parameters
 from pipeline.predict.knowledge import AMPLITUDE, PARAMETER, Knowledge, Unknown, from_calibration
 from pipeline.predict.prediction import SOURCES, predict, variance_shares, with_effects
-from pipeline.simulate import make_setup, simulate
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import make_setup
 
 ERRORS = 4.0  # standard errors that a share may be off: 6e-5 for each normal one
 

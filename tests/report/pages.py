@@ -19,7 +19,7 @@ from pipeline.montecarlo.replicates import run_experiment
 from pipeline.montecarlo.statistics import replicate_statistics
 from pipeline.parameters import Parameters, declared_parameters
 from pipeline.report.experiment import write_report
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 from pipeline.validate.validation import validate
 
 

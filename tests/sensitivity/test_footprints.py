@@ -10,7 +10,8 @@ from pipeline.montecarlo.streams import FLOW, PACKING, random_stream, replicate_
 from pipeline.parameters import declared_parameters
 from pipeline.sensitivity import footprints
 from pipeline.sensitivity.footprints import gradient_cost, influence_fields
-from pipeline.simulate import make_setup, simulate
+from pipeline.simulate.replicate import simulate
+from pipeline.simulate.setup import make_setup
 
 LINEAR = (  # effects that leave the sweep linear in the weights
     Active("arching", {"transfer": 0.7}),

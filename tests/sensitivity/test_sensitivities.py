@@ -24,7 +24,7 @@ from pipeline.sensitivity.sensitivities import (
     coordinates,
     sensitivities,
 )
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 
 COUNT = 4
 DRAW_ONLY = ("R", "E_min", "exponent", "bulking")

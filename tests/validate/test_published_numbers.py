@@ -11,7 +11,7 @@ import pytest
 from pipeline.montecarlo.replicates import run_replicates
 from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import declared_parameters
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 
 REPLICATES = 20
 GRAVEL, GLASS = 1150, 970  # kg m-3, the declared bulk densities of the two, exchanged

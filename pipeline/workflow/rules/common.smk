@@ -12,8 +12,10 @@ RESULTS = CATALOG.results
 
 # A job's threads are its replicates or processes. Snakemake tells linear algebra to use as many
 # again, which makes jobs several times slower, so a script starts with one for each library.
+# Dask is for clusters alone, see pipeline/__init__.py.
 shell.prefix(
-    "export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMBA_NUM_THREADS=1; "
+    "export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMBA_NUM_THREADS=1"
+    + ("; " if config["dask_scheduler"] else " BLOCK_CAVE_WITHOUT_DASK=1; ")
 )
 
 

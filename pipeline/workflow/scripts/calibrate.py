@@ -7,7 +7,7 @@ from pipeline.files.atomic import read_json, write_json
 from pipeline.files.netcdf import read_dataset
 from pipeline.montecarlo.workers import Execution, crew
 from pipeline.parameters import Parameters, declared_parameters
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 from pipeline.workflow.job import log_to
 
 log_to(snakemake.log[0])

@@ -8,7 +8,7 @@ from pipeline.montecarlo.replicates import run_experiment
 from pipeline.montecarlo.workers import Execution
 from pipeline.parameters import Parameters
 from pipeline.sensitivity.footprints import load_cell_footprint
-from pipeline.simulate import make_setup
+from pipeline.simulate.setup import make_setup
 from pipeline.workflow.job import log_to
 
 log_to(snakemake.log[0])
