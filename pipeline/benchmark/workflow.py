@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
+import resource
 import shutil
 import subprocess
 import sys
@@ -28,6 +30,7 @@ TESTS = (  # of Gómez & Castro 2022, Table 2
         for wall in ("paperboard", "fine_sandpaper", "coarse_sandpaper")
     ),
 )
+RULES = ("block_model", "calibrate", "replicates", "aggregate", "validate", "report")
 BARE = """\
 rule all:
     input: expand("done/{i}", i=range(COUNT))
@@ -83,6 +86,47 @@ def workflow_figures(
     yield Figure("again without results", values=again, targets=most, **about)
     at_once = (Target("value", 3.0, is_most=True),)
     yield Figure("nothing to do", values=idle, targets=at_once, **about)
+    yield _imports_figure(repeats, source)
+
+
+def _imports_figure(repeats: int, source: Path) -> Figure:
+    """Processor seconds of an experiment's rules that go into imports: no run costs less."""
+    scripts = [source / "pipeline" / "workflow" / "scripts" / f"{rule}.py" for rule in RULES]
+    wanted = [_imports(script.read_text("utf-8")) for script in scripts]
+    seconds = []
+    for _ in range(repeats):
+        ours, bare = (
+            [_import_seconds(text, source) for text in texts]
+            for texts in (wanted, [IMPORTS.splitlines()[0]] * len(RULES))
+        )
+        seconds.append((sum(ours), sum(bare)))
+    ours, bare = np.array(seconds).T
+    return Figure(
+        "imports of an experiment's jobs, processor time",
+        unit="s",
+        values=ours,
+        yardstick="as many processes that only import NumPy and xarray",
+        yardstick_values=bare,
+        shapes=(),
+        dtype="",
+        remark=f"the scripts of {len(RULES)} rules, once each",
+    )
+
+
+def _imports(script: str) -> str:
+    nodes = (
+        node for node in ast.parse(script).body if isinstance(node, ast.Import | ast.ImportFrom)
+    )
+    return "\n".join(map(ast.unparse, nodes))
+
+
+def _import_seconds(text: str, folder: Path) -> float:
+    """Processor seconds of a process that runs `text` as the workflow's jobs are run."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    alone = {"PYTHONPATH": str(folder), "BLOCK_CAVE_WITHOUT_DASK": "1"}
+    subprocess.run([sys.executable, "-c", text], env=os.environ | alone, check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def _copy(source: Path, target: Path) -> None:

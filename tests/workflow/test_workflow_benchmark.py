@@ -18,8 +18,9 @@ def test_whole_runs_are_timed_beside_bare_jobs(checkout, monkeypatch):
         assert command.main(["--workflow", "--json"]) == 0
     assert sorted(path.name for path in checkout.folder.iterdir()) == before
     document = json.loads(out.getvalue())
-    first, again, idle = document["figures"]
+    first, again, idle, imports = document["figures"]
     assert first["yardstick"]["median"] == again["yardstick"]["median"] > 0.0
     assert idle["value"]["median"] < again["value"]["median"]
     assert first["sizes"]["remark"].startswith("1 pages in ")
+    assert imports["value"]["median"] > imports["yardstick"]["median"]
     assert "nothing to do" in command.as_table(document)
