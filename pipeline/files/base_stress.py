@@ -60,7 +60,9 @@ def base_stress_rows(results: Results) -> Iterator[dict[str, Any]]:
     count = replicates.sizes["replicate"]
     g = experiment.geometry
     cells = load_cells(experiment) if experiment.load_cells else ()
-    openings = [_Opening(results, point) for point in experiment.drawpoints]
+    ground = results["block_model"]["state"].values != STATE_OUTSIDE
+    has_ground, lowest = ground.any(axis=0), np.argmax(ground, axis=0)
+    openings = [_Opening(results, one, has_ground, lowest) for one in experiment.drawpoints]
     drawn = _drawn_from(results)
     for period, time in enumerate(times.tolist()):
         shared = {"experiment": experiment.name, "period": period, "replicates": count}
@@ -81,16 +83,15 @@ def base_stress_rows(results: Results) -> Iterator[dict[str, Any]]:
 
 
 class _Opening:
-    """A drawpoint's opening: the lowest ground cells that it covers, with the areas covered."""
+    """A drawpoint's opening: the `lowest` ground cells that it covers, with the areas covered."""
 
-    def __init__(self, results: Results, point: BaseArea):
+    def __init__(self, results: Results, point: BaseArea, has_ground, lowest):
         self.point, self.results = point, results
-        ground = results["block_model"]["state"].values != STATE_OUTSIDE
         lattice = lattice_of(results.experiment)
         area = lattice.covered_area(point.x, point.y, point.width, point.length)
-        area = np.where(ground.any(axis=0), area, 0.0)
+        area = np.where(has_ground, area, 0.0)
         y, x = np.nonzero(area)
-        self.cells = np.argmax(ground, axis=0)[y, x], y, x
+        self.cells = lowest[y, x], y, x
         self.share = area[y, x] / area.sum()
 
     def stress(self, period: int) -> dict[str, float]:

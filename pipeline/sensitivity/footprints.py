@@ -6,15 +6,18 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import xarray as xr
+from numba import njit
 
 from pipeline.config.measured import MeasuredRow
 from pipeline.effects import State
 from pipeline.lattice.adjoint import Influence, influence
 from pipeline.lattice.stress import stress_sweep
 from pipeline.montecarlo.streams import replicate_streams
+from pipeline.montecarlo.workers import Execution, run_tasks
 from pipeline.observe import SPREAD, STRESS, reading_index
 from pipeline.parameters import Parameters
 from pipeline.sensitivity import FOOTPRINT_REPLICATES
@@ -105,7 +108,9 @@ def influence_fields(
     return xr.Dataset(data, coords=coords)
 
 
-def load_cell_footprint(setup: Setup, parameters: Parameters) -> xr.DataArray:
+def load_cell_footprint(
+    setup: Setup, parameters: Parameters, execution: Execution = Execution()
+) -> xr.DataArray:
     """Where each load cell's stress comes from before draw, or when full.
 
     Share of the stress that the weight at a place adds, summed over y and averaged over the first
@@ -124,7 +129,7 @@ def load_cell_footprint(setup: Setup, parameters: Parameters) -> xr.DataArray:
 
         def inspect(t: int, sweep: Sweep, state: State, found=found) -> None:
             if t == at:
-                found.append(_shares(setup, sweep))
+                found.append(_shares(setup, sweep, execution))
 
         simulate(setup, parameters, *streams, inspect=inspect)
         total = total + found[0]
@@ -136,22 +141,36 @@ def load_cell_footprint(setup: Setup, parameters: Parameters) -> xr.DataArray:
     )
 
 
-def _shares(setup: Setup, sweep: Sweep) -> np.ndarray:
+def _shares(setup: Setup, sweep: Sweep, execution: Execution) -> np.ndarray:
     """Share of each load cell's stress in a sweep that places add: (load_cell, z, x), over y.
 
     Load cells are taken in groups, so that a mine's lattice and its pillars fit into memory.
     """
     footprints = setup.footprints * (KPA / setup.lattice.cell_area)
-    weight = sweep.weight.astype(np.float64)
-    group = max(1, int(GROUP_CELLS // weight.size))
-    shares = []
-    for first in range(0, len(footprints), group):
-        readings = footprints[first : first + group]
+    group = max(1, int(GROUP_CELLS // sweep.weight.size))
+
+    def shares(readings):
         stress = np.tensordot(readings, sweep.base_load, axes=2)
-        with np.errstate(invalid="ignore", divide="ignore"):  # no ground above a load cell
-            share = sweep_influence(readings, sweep).weight * weight / stress[:, None, None, None]
-        shares.append(np.nansum(share, axis=2))
-    return np.concatenate(shares)
+        found = sweep_influence(readings, sweep, of_shed=False).weight
+        return _over_y(found, sweep.weight, stress)
+
+    groups = [footprints[first : first + group] for first in range(0, len(footprints), group)]
+    return np.concatenate(run_tasks([partial(shares, one) for one in groups], execution))
+
+
+@njit(nogil=True, cache=True)
+def _over_y(influence, weight, stress):
+    """Σ over y of influence · weight / stress, (reading, z, x); 0 with no ground above."""
+    count, nz, ny, nx = influence.shape
+    total = np.zeros((count, nz, nx))
+    for n in range(count):
+        if stress[n] > 0.0:
+            for z in range(nz):
+                for y in range(ny):
+                    for x in range(nx):
+                        own = np.float64(weight[z, y, x])
+                        total[n, z, x] += influence[n, z, y, x] * own / stress[n]
+    return total
 
 
 def row_gradients(

@@ -24,7 +24,7 @@ checkpoints = Checkpoints(
     snakemake.params.checkpoints, snakemake.params.code + snakemake.params.effects
 )
 replicates, fields = run_experiment(setup, used, declared, execution, checkpoints)
-replicates["load_cell_footprint"] = load_cell_footprint(setup, used)
+replicates["load_cell_footprint"] = load_cell_footprint(setup, used, Execution(snakemake.threads))
 for path, dataset, title in (
     (snakemake.output.fields, fields, "Fields over replicates"),
     (snakemake.output.replicates, replicates, "Replicates"),
