@@ -175,7 +175,8 @@ def replicates_figures(side: int, count: int, repeats: int) -> Iterator[Figure]:
 
     Dask's workers are processes of one thread on this machine; they run, and have what tasks
     share, before the time is taken. What Dask costs is what one of its workers takes longer than
-    this process does.
+    this process does. Two processes that each run half of the replicates and hand nothing back
+    show what the two cores can do.
     """
     setup = make_setup(cube(side))
     run = Run(setup, declared_parameters(setup.experiment))
@@ -191,6 +192,16 @@ def replicates_figures(side: int, count: int, repeats: int) -> Iterator[Figure]:
             return collected.count
 
         return Action(act)
+
+    def apart(_):
+        fork = multiprocessing.get_context("fork")
+        halves = pairwise((0, count // 2, count))
+        started = [fork.Process(target=run_part, args=(run, *half)) for half in halves]
+        for process in started:
+            process.start()
+        for process in started:
+            process.join()
+        return count
 
     here, threads = crew(Execution(1)), crew(Execution(2))
     processes = crew(Execution(2), processes=True)
@@ -208,6 +219,7 @@ def replicates_figures(side: int, count: int, repeats: int) -> Iterator[Figure]:
                 "replicates in this process": tasks(one),
                 "by two threads": tasks(two_threads),
                 "by two processes": tasks(two),
+                "by two processes that hand nothing back": Action(apart),
                 "on Dask, one worker process": tasks(one_of_dask),
                 "on Dask, two worker processes": tasks(two_of_dask),
             },

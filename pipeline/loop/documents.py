@@ -125,10 +125,18 @@ def effects_document(model: Model, outcome: Outcome, sd: np.ndarray) -> list[dic
                     float(end)
                     for end in np.clip([value - Z90 * spread, value + Z90 * spread], *limits(term))
                 ],
+                "at_bound": at_bound(term, value),
                 "unit": term.described.unit,
             }
         document += keys.values()
     return document
+
+
+def at_bound(term: Term, amplitude: float) -> bool:
+    """Whether an amplitude lies at an end of its range, other than neutral, where a fit is none."""
+    low, high = limits(term)
+    ends = (end for end in (low, high) if end != term.described.neutral)
+    return any(abs(amplitude - end) < 1e-3 * (high - low) for end in ends)
 
 
 def rules_document(outcome: Outcome) -> list[dict[str, Any]]:
@@ -148,6 +156,7 @@ def rules_document(outcome: Outcome) -> list[dict[str, Any]]:
                 **options,
                 "words": in_words(options["channel"], options["feature"], amplitude),
                 "amplitude": amplitude,
+                "at_bound": at_bound(term, amplitude),
                 "probability": float(probability),
                 "added": evidence in outcome.added,
             }

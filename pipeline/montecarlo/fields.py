@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import xarray as xr
@@ -23,6 +24,7 @@ from pipeline.simulate.setup import Setup
 
 STRESS_UNIT, SQUARE_UNIT = 2.0**-40, 2.0**-36  # of the overburden and of its square
 DENSITY_UNIT = 2.0**-8  # kg m-3
+SLAB = 2**17  # places whose sums become fields at a time; 1 MB in double precision
 
 
 @dataclass
@@ -97,15 +99,18 @@ class FieldSums:
         (time, z, y, x), float32, beside `mass_drawn` or `fill_height` (time).
 
         NaN outside the ground, above the filling, and, for stress, where no replicate (for its
-        standard deviation: at most one) has material. Double precision is used for one time at a
-        time: for all of them it would take more memory than the sums do.
+        standard deviation: at most one) has material. Double precision is used for `SLAB` places
+        at a time: for all of them it would take more memory than the sums do.
         """
         setup = self.setup
         fields = defaultdict(lambda: np.empty(self.stress.shape, np.float32))
-        for t in range(setup.times):
-            ground = self._ground(t)
-            for name, values in self._at(t).items():
-                fields[name][t] = np.where(ground, values, np.nan)
+        nz, ny, nx = self.stress.shape[1:]
+        step = math.ceil(SLAB / (ny * nx))
+        for t, bottom in product(range(setup.times), range(0, nz, step)):
+            levels = slice(bottom, bottom + step)
+            ground = self._ground(t, levels)
+            for name, values in self._at(t, levels).items():
+                fields[name][t, levels] = np.where(ground, values, np.nan)
         data = {name: (("time", "z", "y", "x"), values) for name, values in fields.items()}
         clock = "mass_drawn" if setup.masses else "fill_height"
         data[clock] = ("time", np.array(setup.masses or setup.fill_levels))
@@ -115,28 +120,28 @@ class FieldSums:
         coords["realization"] = ((), np.int32(0))
         return xr.Dataset(data, coords=coords)
 
-    def _at(self, t: int) -> dict[str, np.ndarray | float]:
-        """Fields (z, y, x) of one time, by name, whatever they are outside the ground."""
+    def _at(self, t: int, levels: slice) -> dict[str, np.ndarray | float]:
+        """Fields (z, y, x) of levels of a time by name, whatever they are outside the ground."""
         reference, unit, square_unit = _scales(self.setup)
-        n = self.granular[t].astype(np.float64)
+        n = self.granular[t, levels].astype(np.float64)
         with np.errstate(invalid="ignore", divide="ignore"):
-            off = self.stress[t] * unit / n
-            variance = (self.square[t] * square_unit - n * off**2) / (n - 1.0)
-            mean = np.where(n > 0, off + reference[:, None, None], np.nan)
+            off = self.stress[t, levels] * unit / n
+            variance = (self.square[t, levels] * square_unit - n * off**2) / (n - 1.0)
+            mean = np.where(n > 0, off + reference[levels, None, None], np.nan)
             std = np.where(n > 1, np.sqrt(np.maximum(variance, 0.0)), np.nan)
         return {
             "vertical_stress_mean": mean,
             "vertical_stress_std": std,
-            "vertical_stress_first": np.nan if self.first is None else self.first[t],
-            "movement_zone_probability": self.movement[t] / self.count,
-            "void_probability": self.void[t] / self.count,
-            "bulk_density_mean": self.density[t] * DENSITY_UNIT / self.count,
+            "vertical_stress_first": np.nan if self.first is None else self.first[t, levels],
+            "movement_zone_probability": self.movement[t, levels] / self.count,
+            "void_probability": self.void[t, levels] / self.count,
+            "bulk_density_mean": self.density[t, levels] * DENSITY_UNIT / self.count,
         }
 
-    def _ground(self, t: int) -> np.ndarray:
-        """Places (z, y, x) that are ground and, while filling, filled."""
-        inside = self.setup.code != OUTSIDE
-        return inside if self.setup.masses else inside & (self.granular[t] > 0)
+    def _ground(self, t: int, levels: slice) -> np.ndarray:
+        """Places (z, y, x) of some levels of a time that are ground and, while filling, filled."""
+        inside = self.setup.code[levels] != OUTSIDE
+        return inside if self.setup.masses else inside & (self.granular[t, levels] > 0)
 
 
 def _scales(setup: Setup) -> tuple[np.ndarray, float, float]:

@@ -10,6 +10,7 @@ from markupsafe import Markup
 from pipeline.effects import effects
 from pipeline.report.page import Badge, Data, Link, Table, parts
 from pipeline.report.study_words import (
+    AT_BOUND,
     MEASURES,
     VERDICTS,
     each_added,
@@ -55,7 +56,8 @@ def added_effects(found: Mapping[str, Any], data: Data) -> list[dict[str, Any]]:
                 columns = zip(table.columns[2:5], values, strict=True)
                 row, unit = f"{name} of {key}", parameter["unit"]
                 cells = (table.number(row, c, value, unit=unit) for c, value in columns)
-                table.rows.append([name, key, *cells, unit_words(unit), words.get(name, "")])
+                what = words.get(name, "") + (f"; {AT_BOUND}" if parameter["at_bound"] else "")
+                table.rows.append([name, key, *cells, unit_words(unit), what])
         added.append(
             {
                 "name": one["name"],

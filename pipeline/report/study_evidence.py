@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from pipeline.effects import effects
 from pipeline.report.page import Badge, Data, Table, decimals_of, parts
-from pipeline.report.study_words import label_of, listed, unit_words
+from pipeline.report.study_words import AT_BOUND, label_of, listed, unit_words
 
 FEW = 3  # look-alikes that stand unfolded
 
@@ -259,7 +259,7 @@ def rule_table(found: Mapping[str, Any], data: Data) -> Table | None:
     for rule in found["local_rules"]:
         table.rows.append(
             [
-                rule["words"],
+                rule["words"] + (f" ({AT_BOUND})" if rule["at_bound"] else ""),
                 table.number(rule["words"], "amplitude", rule["amplitude"]),
                 table.number(rule["words"], "probability", rule["probability"], 3),
                 Badge("added", "good") if rule["added"] else "lost",

@@ -8,6 +8,7 @@ from typing import Any
 
 from pipeline.report.page import Badge
 
+AT_BOUND = "at the end of its range: not a fit"
 VERDICTS = {
     "no_effect_detectable": Badge("no effect detectable", "good"),
     "effect": Badge("effect found", "good"),

@@ -134,7 +134,8 @@ def test_every_key_of_the_contract_is_there(either):
         assert keys | {"nearest_mimic", "testable"} <= set(one)
     for one in document["effects_added"]:
         assert {"name", "scope", "scope_key", "parameters", "probability"} <= set(one)
-        assert all({"value", "interval_90", "unit"} <= set(p) for p in one["parameters"].values())
+        keys = {"value", "interval_90", "at_bound", "unit"}
+        assert all(keys <= set(p) for p in one["parameters"].values())
     for one in document["next_measurement"]:
         assert {"what", "where", "expected_gain"} <= set(one)
     assert set(document["parameters"]) == {"before", "after"}

@@ -82,7 +82,9 @@ def added(name: str, number: int = 1, key: str | None = None, **changes) -> dict
         "kind": "physics",
         "scope": "material",
         "scope_key": key,
-        "parameters": {"K": {"value": 0.5, "interval_90": [0.4, 0.6], "unit": "1"}},
+        "parameters": {
+            "K": {"value": 0.5, "interval_90": [0.4, 0.6], "at_bound": False, "unit": "1"}
+        },
         "options": {},
         "probability": 0.97,
         "round": number,
@@ -91,7 +93,8 @@ def added(name: str, number: int = 1, key: str | None = None, **changes) -> dict
 
 def a_rule(number: int) -> dict[str, Any]:
     """A local rule that was added."""
-    amplitude = {"amplitude": {"value": 0.3, "interval_90": [0.1, 0.5], "unit": "1"}}
+    value = {"value": 0.3, "interval_90": [0.1, 0.5], "at_bound": False, "unit": "1"}
+    amplitude = {"amplitude": value}
     return added(
         "local_rule", number, kind="rule", scope="study", parameters=amplitude, options=RULE
     )
@@ -129,7 +132,8 @@ def case(verdict: str) -> dict[str, Any]:
     both = [added(FRICTION, 1, "sand"), added(FRICTION, 1, "ore")]
     found = evidence(wall_friction=0.97, density_misdeclared=0.02)
     split = evidence(surcharge=0.5, density_misdeclared=0.45)
-    rule = {**RULE, "words": WORDS, "amplitude": 0.3, "probability": 0.95, "added": True}
+    rule = {**RULE, "words": WORDS, "amplitude": 0.3, "at_bound": False}
+    rule |= {"probability": 0.95, "added": True}
     match verdict:
         case "effect":
             changes = {"effects_added": both, "evidence": [found, None]}

@@ -117,6 +117,15 @@ def test_what_was_added_has_its_equation_and_interval(tmp_path):
     assert "wall_friction: one value for the study" in text
 
 
+def test_an_amplitude_at_the_end_of_its_range_is_called_no_fit(tmp_path):
+    found = closed_loop("unknown_effect")
+    assert "not a fit" not in words(make_study(tmp_path / "within", found).html)
+    found["effects_added"][0]["parameters"]["amplitude"]["at_bound"] = True
+    found["local_rules"][0]["at_bound"] = True
+    text = words(make_study(tmp_path / "at_bound", found).html)
+    assert text.count("at the end of its range: not a fit") == 2
+
+
 def test_a_second_round_that_ends_at_the_limit_says_so(tmp_path):
     found = closed_loop() | {"candidate_set": ["surcharge"]}
     found["settings"]["max_effects"] = 1
