@@ -8,7 +8,7 @@ from typing import Any
 from pipeline.compare.comparison import SIDES
 from pipeline.report.index_entries import RUNS, Entry, verdict_of
 from pipeline.report.page import Badge, Data, Link, Table, decimals_of
-from pipeline.report.study_words import VERDICTS, names_added
+from pipeline.report.study_words import VERDICTS, names_added, predicts_worse
 from pipeline.validate.validation import CALIBRATED, DECLARED
 
 
@@ -105,6 +105,7 @@ def study_table(studies: Sequence[Mapping[str, Any]], data: Data) -> Table:
         before, after = (found["error"]["held_out"][when] for when in ("before", "after"))
         numbers = [(one[key], None) for key in ("rms_kpa", "rms_log") for one in (before, after)]
         numbers.append((after["n"], 0))
+        worse = [Badge("predicts worse", "bad")] if predicts_worse(found) else []
         cells = zip(table.columns[5:], numbers, strict=True)
         table.rows.append(
             [
@@ -112,7 +113,7 @@ def study_table(studies: Sequence[Mapping[str, Any]], data: Data) -> Table:
                 found["title"],
                 ", ".join(found["data_labels"]),
                 VERDICTS[found["verdict"]],
-                ", ".join(names_added(found)) or "nothing",
+                [", ".join(names_added(found)) or "nothing", *worse],
                 *(table.number(found["study"], column, *number) for column, number in cells),
             ]
         )

@@ -38,7 +38,13 @@ from pipeline.report.study_figures import (
     posterior_figures,
     residual_figures,
 )
-from pipeline.report.study_words import VERDICTS, each_added, title_of
+from pipeline.report.study_words import (
+    AT_BOUND,
+    VERDICTS,
+    each_added,
+    predicts_worse,
+    title_of,
+)
 
 FINDINGS = {  # by the kind of an effect: before its name, and after it
     "physics": ("The model lacks", ""),
@@ -172,6 +178,8 @@ def verdict(found: Mapping[str, Any], data: Data) -> list[Markup]:
                 data.number("verdict", "", "probability from which one name is added", SURE, 1),
             )
         )
+        if any(p["at_bound"] for entry in entries for p in entry["parameters"].values()):
+            sentences[-1] += f" Its amplitude lies {AT_BOUND}."
     if not last["rejected"]:
         sentences.append(parts("With it nothing more is detectable: {}.", _evidence(last, data)))
         return sentences
@@ -229,6 +237,15 @@ def error_sentences(found: Mapping[str, Any], data: Data) -> list[Markup]:
                 f" ({found['held_out_is']})" if part == "held_out" else "",
             )
         )
+        if part == "held_out" and predicts_worse(found):
+            ratio = data.number("verdict", part, "error ratio", error["ratio"], 2)
+            sentences.append(
+                parts(
+                    "<strong>What was added predicts them worse</strong> than the model without "
+                    "it: {} times the error (rms of logarithms). Do not predict with it.",
+                    ratio,
+                )
+            )
     if not found["error"]["held_out"]["before"]["n"]:
         sentences.insert(0, Markup("No held-out value could be predicted: nothing tests it."))
     return sentences

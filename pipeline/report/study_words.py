@@ -8,6 +8,7 @@ from typing import Any
 
 from pipeline.report.page import Badge
 
+WORSE = 1.01  # times the held-out error before, from which a model counts as worse
 AT_BOUND = "at the end of its range: not a fit"
 VERDICTS = {
     "no_effect_detectable": Badge("no effect detectable", "good"),
@@ -75,3 +76,9 @@ def unit_words(unit: str) -> str:
 def names_added(found: Mapping[str, Any]) -> list[str]:
     """Names of the added effects, each once, in the order added."""
     return list(dict.fromkeys(entry["name"] for entry in found["effects_added"]))
+
+
+def predicts_worse(found: Mapping[str, Any]) -> bool:
+    """Whether the error (rms of logarithms) on what was held out is larger with what was added."""
+    ratio = found["error"]["held_out"]["ratio"]
+    return ratio is not None and ratio > WORSE

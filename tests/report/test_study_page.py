@@ -123,7 +123,18 @@ def test_an_amplitude_at_the_end_of_its_range_is_called_no_fit(tmp_path):
     found["effects_added"][0]["parameters"]["amplitude"]["at_bound"] = True
     found["local_rules"][0]["at_bound"] = True
     text = words(make_study(tmp_path / "at_bound", found).html)
-    assert text.count("at the end of its range: not a fit") == 2
+    assert text.count("at the end of its range: not a fit") == 3  # head and two tables
+
+
+@pytest.mark.parametrize(
+    ("ratio", "says"), [(None, False), (0.4, False), (1.005, False), (1.3, True)]
+)
+def test_a_model_that_predicts_worse_is_called_so_in_the_head(tmp_path, ratio, says):
+    found = closed_loop()
+    found["error"]["held_out"]["ratio"] = ratio
+    text = words(make_study(tmp_path, found).html)
+    assert ("predicts them worse" in text) == says
+    assert ("1.30  times the error" in text) == says
 
 
 def test_a_second_round_that_ends_at_the_limit_says_so(tmp_path):
@@ -250,6 +261,16 @@ def test_labels_of_one_name_stand_together():
     entry = {"name": "tilt", "scope": "material", "scope_key": None}
     assert label_of(entry) == "tilt of each material"
     assert label_of(entry | {"label": "tilt angle_x"}) == "tilt angle_x of each material"
+
+
+def test_the_index_marks_a_study_whose_model_predicts_worse(tmp_path):
+    worse = closed_loop()
+    worse["error"]["held_out"]["ratio"] = 1.3
+    made = {n: make_study(tmp_path / n, found) for n, found in (("a", worse), ("b", closed_loop()))}
+    studies = {name: one.folder / "closed_loop.json" for name, one in made.items()}
+    page = tmp_path / "index.html"
+    write_index([], [], [], [], tmp_path / "law.svg", page, tmp_path / "index.json", studies)
+    assert page.read_text("utf-8").count('<span class="badge bad">predicts worse</span>') == 1
 
 
 def test_the_index_lists_studies(tmp_path):
