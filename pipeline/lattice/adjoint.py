@@ -22,6 +22,7 @@ from pipeline.lattice.stress import (
     Coupling,
     _receptivity,
     _zones_around,
+    leaning_receivers,
 )
 
 FULL = 1e-9  # of the cohesion: a load that is less has been handed aside as a whole
@@ -171,17 +172,8 @@ def _influence(
                                 if own * by_stress < 1.0:
                                     excess_by[0, y, x] = coupling.transfer * (1.0 - own * steeper)
                                     excess_by[2, y, x] = -coupling.transfer * carried * by_stress
-                        beside = (
-                            lower * receptivity[y, x + 1]
-                            + left * receptivity[y + 1, x]
-                            + right * receptivity[y + 1, x + 2]
-                            + upper * receptivity[y + 2, x + 1]
-                        )
-                        diagonal = (
-                            lower * left * receptivity[y, x]
-                            + lower * right * receptivity[y, x + 2]
-                            + upper * left * receptivity[y + 2, x]
-                            + upper * right * receptivity[y + 2, x + 2]
+                        beside, diagonal = leaning_receivers(
+                            receptivity, y, x, lower, upper, left, right
                         )
                         w_down = 1.0
                         if coupling.straight.shape[0] > 0:

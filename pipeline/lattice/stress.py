@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from pipeline.lattice.cells import MOVEMENT, OUTSIDE, STAGNANT
+from pipeline.lattice.flags import in_place
 from pipeline.lattice.solid import is_solid, solid_rows, through_solid
 
 LEAST_RECEPTIVITY = 1e-100  # R = 0 still lets a cell without stagnant receivers hand its load on
@@ -270,17 +271,8 @@ def _sweep(
                             coupling.transfer * max(beyond, 0.0) * carried[y, x]
                         )
                     if leaning:
-                        beside = (
-                            lower * receptivity[y, x + 1]
-                            + left * receptivity[y + 1, x]
-                            + right * receptivity[y + 1, x + 2]
-                            + upper * receptivity[y + 2, x + 1]
-                        )
-                        diagonal = (
-                            lower * left * receptivity[y, x]
-                            + lower * right * receptivity[y, x + 2]
-                            + upper * left * receptivity[y + 2, x]
-                            + upper * right * receptivity[y + 2, x + 2]
+                        beside, diagonal = leaning_receivers(
+                            receptivity, y, x, lower, upper, left, right
                         )
                     else:
                         beside = (
@@ -324,6 +316,24 @@ def _sweep(
                 falling |= straight[y, x] != 0.0
     base_load += carried
     return total_weight, shed
+
+
+@in_place
+def leaning_receivers(receptivity, y, x, lower, upper, left, right):
+    """Receptivities around the place straight below, edges' and corners', times their lean."""
+    beside = (
+        lower * receptivity[y, x + 1]
+        + left * receptivity[y + 1, x]
+        + right * receptivity[y + 1, x + 2]
+        + upper * receptivity[y + 2, x + 1]
+    )
+    diagonal = (
+        lower * left * receptivity[y, x]
+        + lower * right * receptivity[y, x + 2]
+        + upper * left * receptivity[y + 2, x]
+        + upper * right * receptivity[y + 2, x + 2]
+    )
+    return beside, diagonal
 
 
 @njit(nogil=True, cache=True)
