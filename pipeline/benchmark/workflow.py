@@ -39,7 +39,8 @@ rule one:
     output: "done/{i}"
     script: "bare.py"
 """
-IMPORTS = 'import numpy, xarray\nopen(snakemake.output[0], "w").close()\n'
+IMPORTS = "import numpy, xarray"
+SCRIPT = IMPORTS + '\nopen(snakemake.output[0], "w").close()\n'
 
 
 def workflow_figures(
@@ -70,7 +71,7 @@ def workflow_figures(
             jobs = int(re.findall(r"(\d+) of \1 steps", said)[-1])
             bare.mkdir()
             (bare / "Snakefile").write_text(BARE.replace("COUNT", str(jobs)))
-            (bare / "bare.py").write_text(IMPORTS)
+            (bare / "bare.py").write_text(SCRIPT)
             walls.append((first, again, idle, _snakemake(bare, cores, [])[0]))
     first, again, idle, empty = np.array(walls).T
     about = {
@@ -92,12 +93,12 @@ def workflow_figures(
 def _imports_figure(repeats: int, source: Path) -> Figure:
     """Processor seconds of an experiment's rules that go into imports: no run costs less."""
     scripts = [source / "pipeline" / "workflow" / "scripts" / f"{rule}.py" for rule in RULES]
-    wanted = [_imports(script.read_text("utf-8")) for script in scripts]
+    wanted = [imports_of(script) for script in scripts]
     seconds = []
     for _ in range(repeats):
         ours, bare = (
             [_import_seconds(text, source) for text in texts]
-            for texts in (wanted, [IMPORTS.splitlines()[0]] * len(RULES))
+            for texts in (wanted, [IMPORTS] * len(RULES))
         )
         seconds.append((sum(ours), sum(bare)))
     ours, bare = np.array(seconds).T
@@ -113,11 +114,11 @@ def _imports_figure(repeats: int, source: Path) -> Figure:
     )
 
 
-def _imports(script: str) -> str:
-    nodes = (
-        node for node in ast.parse(script).body if isinstance(node, ast.Import | ast.ImportFrom)
-    )
-    return "\n".join(map(ast.unparse, nodes))
+def imports_of(script: Path) -> str:
+    """The import statements of a script, as code."""
+    nodes = ast.parse(script.read_text("utf-8")).body
+    found = (node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom))
+    return "\n".join(map(ast.unparse, found))
 
 
 def _import_seconds(text: str, folder: Path) -> float:

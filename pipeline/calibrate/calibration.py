@@ -168,6 +168,8 @@ def calibrate(
 
 def _fit(model: _Model, parameters: Parameters, names: list[str], scan: bool) -> Parameters:
     """Least squares of a group on all rows of `model`, each over its standard deviation."""
+    from scipy.optimize import least_squares, minimize  # here: jobs without a fit do without it
+
     scales = [SCALES[name] for name in names]
     measured = np.array([row.value for row in model.rows])
     weight = 1.0 / np.array([row.std for row in model.rows])
@@ -179,8 +181,6 @@ def _fit(model: _Model, parameters: Parameters, names: list[str], scan: bool) ->
 
     def residuals(u, count=None):
         return (model.mean(at(u), count) - measured) * weight
-
-    from scipy.optimize import least_squares, minimize  # a fifth of the time of a job without a fit
 
     start = np.array([s.forward(parameters.value(n)) for s, n in zip(scales, names, strict=True)])
     start = np.clip(start, low + 1e-9, high - 1e-9)

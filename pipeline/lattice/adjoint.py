@@ -34,7 +34,8 @@ class Influence(NamedTuple):
     - ``weight``: the cell's weight, N. For a linear sweep, reading = Σ weight · cell weights.
     - ``shed``: 1 − E of the cell, if asked for; else (reading, 0, 0, 0). Times 1 − E it is the
       derivative with respect to log(1 − E); times −E, with respect to log E.
-    - ``own_shed``: the coupling's `own_shed`, with `transfer`; else (reading, 0, 0, 0).
+    - ``own_shed``: the coupling's `own_shed`, with `transfer` and where ``shed`` is asked for;
+      else (reading, 0, 0, 0).
     - ``relaxation``: log R of the movement-zone cell as a receiver, if asked for; else
       (reading, 0, 0, 0).
     """
@@ -71,7 +72,7 @@ def influence(
     load : (z, y, x) float
         Loads that the forward sweep kept, N.
     of_relaxation : whether derivatives with respect to R are returned too
-    of_shed : whether those with respect to E are; without them a third of the time is saved
+    of_shed : whether those with respect to E are, which takes as much memory again
     dtype : floating type of the returned arrays
 
     Returns

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from pipeline.calibrate.calibration import at_end
 from pipeline.config.measured import QUANTITIES, MeasuredRow
 from pipeline.effects import effects
 from pipeline.effects.local_rule import in_words
@@ -135,8 +136,8 @@ def effects_document(model: Model, outcome: Outcome, sd: np.ndarray) -> list[dic
 def at_bound(term: Term, amplitude: float) -> bool:
     """Whether an amplitude lies at an end of its range, other than neutral, where a fit is none."""
     low, high = limits(term)
-    ends = (end for end in (low, high) if end != term.described.neutral)
-    return any(abs(amplitude - end) < 1e-3 * (high - low) for end in ends)
+    nearest = min((low, high), key=lambda end: abs(amplitude - end))
+    return nearest != term.described.neutral and at_end(amplitude, low, high)
 
 
 def rules_document(outcome: Outcome) -> list[dict[str, Any]]:

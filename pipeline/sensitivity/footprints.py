@@ -115,7 +115,8 @@ def load_cell_footprint(
 
     Share of the stress that the weight at a place adds, summed over y and averaged over the first
     `FOOTPRINT_REPLICATES` replicates: (load_cell, z, x), adding up to 1 over (z, x) for each load
-    cell where the sweep is linear in the weights.
+    cell where the sweep is linear in the weights. Groups of load cells are shared out by
+    `execution`, which changes no bit.
     """
     experiment = setup.experiment
     count = min(FOOTPRINT_REPLICATES, experiment.replicates)

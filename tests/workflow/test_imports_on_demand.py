@@ -1,11 +1,12 @@
 """What the scripts of rules import: no more than they use."""
 
-import ast
 import os
 import subprocess
 import sys
 
 import pytest
+
+from pipeline.benchmark.workflow import imports_of
 
 HEAVY = ("numba", "scipy", "dask", "matplotlib")
 IMPORTED = {  # rule: the heavy packages that its script needs
@@ -24,9 +25,7 @@ IMPORTED = {  # rule: the heavy packages that its script needs
 @pytest.mark.parametrize("rule", IMPORTED)
 def test_a_script_imports_only_what_it_uses(repository, rule):
     script = repository / "pipeline" / "workflow" / "scripts" / f"{rule}.py"
-    nodes = ast.parse(script.read_text("utf-8")).body
-    imports = [ast.unparse(node) for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
-    found = _run("\n".join([*imports, "import sys", f"print(*{set(HEAVY)} & set(sys.modules))"]))
+    found = _run(f"{imports_of(script)}\nimport sys; print(*{set(HEAVY)} & set(sys.modules))")
     assert set(found.split()) == set(IMPORTED[rule])
 
 
