@@ -22,7 +22,7 @@ from pipeline.lattice.stress import (
     Coupling,
     _receptivity,
     _zones_around,
-    leaning_receivers,
+    leaning_sums,
 )
 
 FULL = 1e-9  # of the cohesion: a load that is less has been handed aside as a whole
@@ -173,7 +173,7 @@ def _influence(
                                 if own * by_stress < 1.0:
                                     excess_by[0, y, x] = coupling.transfer * (1.0 - own * steeper)
                                     excess_by[2, y, x] = -coupling.transfer * carried * by_stress
-                        beside, diagonal = leaning_receivers(
+                        beside, diagonal = leaning_sums(
                             receptivity, y, x, lower, upper, left, right
                         )
                         w_down = 1.0
@@ -200,18 +200,7 @@ def _influence(
             else:
                 for y in range(ny):
                     for x in range(nx):
-                        of_edges = (
-                            lower * below[y, x + 1]
-                            + left * below[y + 1, x]
-                            + right * below[y + 1, x + 2]
-                            + upper * below[y + 2, x + 1]
-                        )
-                        of_corners = (
-                            lower * left * below[y, x]
-                            + lower * right * below[y, x + 2]
-                            + upper * left * below[y + 2, x]
-                            + upper * right * below[y + 2, x + 2]
-                        )
+                        of_edges, of_corners = leaning_sums(below, y, x, lower, upper, left, right)
                         of_given[y, x] = (
                             down[y, x] * below[y + 1, x + 1]
                             + sides[y, x] * of_edges

@@ -271,7 +271,7 @@ def _sweep(
                             coupling.transfer * max(beyond, 0.0) * carried[y, x]
                         )
                     if leaning:
-                        beside, diagonal = leaning_receivers(
+                        beside, diagonal = leaning_sums(
                             receptivity, y, x, lower, upper, left, right
                         )
                     else:
@@ -319,19 +319,19 @@ def _sweep(
 
 
 @in_place
-def leaning_receivers(receptivity, y, x, lower, upper, left, right):
-    """Receptivities around the place straight below, edges' and corners', times their lean."""
+def leaning_sums(field, y, x, lower, upper, left, right):
+    """Sums over the edge and the corner receivers of a place in a padded field, with the lean."""
     beside = (
-        lower * receptivity[y, x + 1]
-        + left * receptivity[y + 1, x]
-        + right * receptivity[y + 1, x + 2]
-        + upper * receptivity[y + 2, x + 1]
+        lower * field[y, x + 1]
+        + left * field[y + 1, x]
+        + right * field[y + 1, x + 2]
+        + upper * field[y + 2, x + 1]
     )
     diagonal = (
-        lower * left * receptivity[y, x]
-        + lower * right * receptivity[y, x + 2]
-        + upper * left * receptivity[y + 2, x]
-        + upper * right * receptivity[y + 2, x + 2]
+        lower * left * field[y, x]
+        + lower * right * field[y, x + 2]
+        + upper * left * field[y + 2, x]
+        + upper * right * field[y + 2, x + 2]
     )
     return beside, diagonal
 
